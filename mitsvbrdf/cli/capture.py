@@ -29,13 +29,13 @@ def capture(photos: Annotated[Positional[Path], arg(
                 "Measured size of the printed sheet of tags around the material, over the outer edges of "
                 "the tags. Default: no sheet."))] = None,
             depth: Annotated[float, arg(metavar="CM", help=(
-                "Height of the sheet above the material. Default: the thickness of paper."))] = PAPER_THICKNESS,
+                "Height of the sheet above the material. Default: that of paper."))] = PAPER_THICKNESS,
             transfer: Annotated[TransferChoice, arg(
                 help="How photos encode light. auto: linear for RAW files, else srgb.")] = "auto",
             resolution: Annotated[int, arg(
                 help="Largest side of the rectified photos. Photos are never enlarged.")] = 1024,
             reference: Annotated[Literal["best", "first"], arg(help=(
-                "Photo that says what is up, without a sheet: best is the one nearest to straight above."))] = "best",
+                "Photo that says what is up, without a sheet: best is the most nearly vertical one."))] = "best",
             overwrite: Overwrite = False, strict: Strict = False) -> int:
     """Make a capture of raw photos for `mitsvbrdf fit`: find the poses, rectify, reject bad photos.
 
@@ -76,7 +76,7 @@ def capture(photos: Annotated[Positional[Path], arg(
 
 
 def _print(result: CaptureResult, asked: int) -> None:
-    """Each photo with its number in a fit or the reason to reject it, and notes; ``asked`` is --resolution."""
+    """Each photo with its number in a fit or the reason to reject it, and notes; ``asked``: --resolution."""
     from rich.table import Table
 
     from ..capture.quality.next_view import HIGHLIGHT_ANGLE

@@ -49,7 +49,8 @@ FalloffOption = Literal["auto", "inverse-square", "none"]
 
 def folder_of_its_own(out: Path, what: str) -> ConfigError:
     """The error for results among the photos or maps that a command reads."""
-    return ConfigError("an output folder of its own", f"{out}, which holds the {what}", "choose another")
+    got = f"{out}, which holds the {what}"
+    return ConfigError("an output folder of its own", got, "choose another folder")
 
 
 def keep_apart(capture: Path, out: Path) -> None:

@@ -151,8 +151,8 @@ def _check(mi: ModuleType, svbrdf: SVBRDF, views: Views | None, seed: int) -> in
     test = check_novel(mi, svbrdf, views, seed=seed)
     means = ", ".join(f"{each:+.2f}" for each in test.bias.tolist())
     say(f"novel against analytic64: {'the same but for noise' if test.passed else 'they differ'}; of "
-        f"{test.z.numel()} values the worst is {float(test.z.abs().max()):.2f} standard deviations off (limit "
-        f"{test.z_limit:.2f}), the means of the channels {means} (limit {test.bias_limit:.2f})")
+        f"{test.z.numel()} values the worst is {float(test.z.abs().max()):.2f} standard deviations off "
+        f"(limit {test.z_limit:.2f}), the means of the channels {means} (limit {test.bias_limit:.2f})")
     return 0 if test.passed else 1
 
 

@@ -39,10 +39,11 @@ PHONE = HandheldPhone()
 def synth(
     material: Positional[Material], out: Out, phone: OmitArgPrefixes[HandheldPhone] = PHONE,
     handheld: Annotated[bool, arg(help=(
-        "Take raw photos with a simulated phone, for `mitsvbrdf capture`: OUT/IMG_0001.jpg and so on, and the "
-        "truth in OUT/truth. The options of the phone need this one."))] = False,
+        "Take raw photos with a simulated phone, for `mitsvbrdf capture`: OUT/IMG_0001.jpg and so on, and "
+        "the truth in OUT/truth. The options of the phone need this one."))] = False,
     spoil: Annotated[str, arg(metavar="KIND,KIND,...", help=(
-        "With --handheld: add photos that are blurred, finger, noflash, duplicate, rotated or unrelated."))] = "",
+        "With --handheld: add photos of the kinds blurred, finger, noflash, duplicate, rotated, unrelated."))
+        ] = "",
     views: ViewSource = "builtin:grid",
     resolution: Annotated[int | None, arg(help=(
         "Side of the photos in pixels; with --handheld side of builtin maps. Default: 256; with "
