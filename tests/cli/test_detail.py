@@ -1,6 +1,4 @@
-"""`fit --detail gan` writes plausible detail beside maps that are the same without it, says so, and other
-commands take it.
-"""
+"""`fit --detail gan` writes plausible detail beside unchanged maps, says so, and other commands take it."""
 
 import json
 
@@ -27,8 +25,8 @@ def folders(shots, tmp_path_factory):
 def test_plausible_detail_lies_beside_maps_of_the_same_bytes(folders):
     plain, finished = folders / "plain", folders / "finished"
     names = sorted(path.name for path in (plain / "maps").iterdir())
-    assert names == sorted(path.name
-                           for path in (finished / "detail").iterdir()) and not (plain / "detail").exists()
+    assert names == sorted(path.name for path in (finished / "detail").iterdir())
+    assert not (plain / "detail").exists()
     for name in names:
         assert (plain / "maps" / name).read_bytes() == (finished / "maps" / name).read_bytes()
     assert (plain / "maps/roughness.exr").read_bytes() != (finished / "detail/roughness.exr").read_bytes()
@@ -58,8 +56,7 @@ def test_commands_take_plausible_detail_as_they_take_maps(folders, shots, tmp_pa
     assert cli.main(["evaluate", str(look), "--capture", str(shots), "--renderer", "analytic", "--json",
                      str(figures)]) == 0
     told = json.loads((folders / "finished/fit.json").read_text())["detail"]["rerender_rmse"]
-    # 48 px photos against maps of 32 px: near what the finish told of 32 px photos, and not what the maps
-    # have
+    # 48 px photos against maps of 32 px: near what the fit told of 32 px photos, and not what the maps have
     assert json.loads(figures.read_text())["rerender_rmse"] == pytest.approx(told, rel=0.3)
     assert images.read_image(tmp_path / "r/00.exr", ValueError).shape[2] == 3
     assert load_maps(folders / "finished").maps.keys() == load_maps(look).maps.keys()

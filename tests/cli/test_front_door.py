@@ -1,6 +1,4 @@
-"""The table of commands: it says what each command says of itself, and words about commands load nothing
-heavy.
-"""
+"""The table of commands repeats what each command says of itself, and loads nothing heavy."""
 
 import subprocess
 import sys
@@ -19,9 +17,7 @@ def test_the_list_has_the_first_sentence_of_each_command(name):
 
 
 def loaded_by(arguments, folder):
-    """What a process of its own prints for these arguments, its exit code, and which of the heavy packages it
-    loaded.
-    """
+    """What a process of its own prints for these arguments, its exit code, and its heavy packages."""
     code = f"""
 import sys
 from mitsvbrdf.__main__ import main

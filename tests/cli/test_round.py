@@ -2,8 +2,6 @@
 
 import json
 import os
-import shutil
-import signal
 import subprocess
 import sys
 
@@ -17,7 +15,6 @@ from mitsvbrdf import cli
 from mitsvbrdf.cli.fit import _from_first_of
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit.checkpoint import save_tensors
-from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.io import images, results
 from mitsvbrdf.material.map_files import load_maps
 
@@ -156,48 +153,6 @@ def test_the_first_checkpoint_that_is_of_this_fit_is_gone_on_from(tmp_path, caps
         _from_first_of([other, torn], fitted)
 
 
-@pytest.mark.slow
-def test_an_unfinished_fit_does_not_hide_the_finished_one(shots, tmp_path, capsys):
-    out, other = tmp_path / "out", tmp_path / "other"
-    few = ["fit", str(shots), *FAST, "--views", "0,3"]
-    assert cli.main(["fit", str(shots), "-o", str(out), *FAST]) == cli.main([*few, "-o", str(other)]) == 0
-    left = unfinished(out)
-    shutil.copy(other / results.CHECKPOINT, left)
-    both = shutil.copytree(out, tmp_path / "both")
-    shutil.copytree(left, results.partial_folder(both))
-    assert cli.main(["fit", str(shots), "-o", str(out), *FAST[:-1], "5", "--resume"]) == 0
-    assert f"went on from {out / results.CHECKPOINT}; what was left unfinished" in capsys.readouterr().out
-    record = json.loads((out / "fit.json").read_text())
-    assert record["iterations"] == 5 and len(record["per_photo"]) == 9 and not left.exists()
-    assert cli.main([*few, "-o", str(both), "--resume"]) == 0  # and may be gone on with itself
-    assert len(json.loads((both / "fit.json").read_text())["per_photo"]) == 2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("when", ["before", "after"])
-def test_a_fit_killed_at_the_exchange_leaves_one_whole_result(shots, tmp_path, capsys, when):
-    out = tmp_path / "out"
-    refit = ["fit", str(shots), "-o", str(out), *FAST, "--views", "0,3", "--overwrite"]
-    assert cli.main(["fit", str(shots), "-o", str(out), *FAST]) == 0
-    code = f"""
-import os, signal
-from mitsvbrdf import cli
-from mitsvbrdf.io import results
-real = results.exchange
-def killing(*folders):
-    if {when!r} == "after":
-        real(*folders)
-    os.kill(os.getpid(), signal.SIGKILL)
-results.exchange = killing
-cli.main({refit!r})
-"""
-    assert subprocess.run([sys.executable, "-c", code]).returncode == -signal.SIGKILL
-    assert cli.main(["evaluate", str(out), "--reference", "builtin:inlay"]) == 0
-    photos = len(Fit.load(out).record["per_photo"])
-    assert photos == (9 if when == "before" else 2) == len(list((out / "rerendered").glob("*.exr")))
-    assert cli.main(refit) == 0 and len(Fit.load(out).record["per_photo"]) == 2
-
-
 def test_results_are_only_replaced_when_asked(shots, tmp_path, capsys):
     out = tmp_path / "out"
     assert cli.main(["guess", str(shots), "-o", str(out), "--method", "min"]) == 0
@@ -233,13 +188,6 @@ def test_evaluate_and_render_remember_how_the_fit_saw_its_photos(shots, tmp_path
     assert cli.main(["evaluate", str(out), "--capture", str(shots), "--json", str(figures)]) == 0
     expected = json.loads((out / "fit.json").read_text())["rerender_rmse"]
     assert json.loads(figures.read_text())["rerender_rmse"] == pytest.approx(expected, rel=1e-5)
-
-
-@pytest.mark.parametrize("command", ["fit", "guess", "render", "evaluate", "synth", "doctor", "demo"])
-def test_help(command, capsys):
-    with pytest.raises(SystemExit) as stop:
-        cli.main([command, "--help"])
-    assert stop.value.code == 0 and "usage: mitsvbrdf" in capsys.readouterr().out
 
 
 def test_help_shows_the_options_of_the_method(capsys):

@@ -93,7 +93,7 @@ def test_tensors_of_inference_mode_stay_outside():
         made = torch.ones(3)
     held, (first, second) = given(Held({"a": made, "b": ordinary}, (made, 2)), [made, ordinary])
     assert not any(each.is_inference() for each in (held.maps["a"], held.pair[0], first))
-    assert held.maps["b"] is ordinary and second is ordinary and torch.equal(held.maps["a"],
-                                                                             made) and held.name == "x"
+    assert held.maps["b"] is ordinary and second is ordinary
+    assert torch.equal(held.maps["a"], made) and held.name == "x"
     untouched = Held({"b": ordinary}, (ordinary, 1))
     assert given(untouched, [])[0] is untouched

@@ -20,8 +20,8 @@ from mitsvbrdf.io.images import averaged, read_image
 def test_16_bits_are_read_as_they_are(tmp_path):
     values = np.array([[0, 1, 256, 65535]], np.uint16)
     Image.fromarray(values).save(tmp_path / "x.png")
-    assert read_image(tmp_path / "x.png", CaptureError)[..., 0].numpy() * 65535 == pytest.approx(values,
-                                                                                                 abs=0.01)
+    found = read_image(tmp_path / "x.png", CaptureError)[..., 0].numpy() * 65535
+    assert found == pytest.approx(values, abs=0.01)
 
 
 def test_a_full_disk_has_its_number_where_openexr_meets_it(tmp_path, monkeypatch):
@@ -67,9 +67,8 @@ def exr(path, **options):
 
 def test_an_exr_that_is_no_flat_picture_is_refused(tmp_path):
     part = {"RGB": np.zeros((4, 6, 3), np.float32)}
-    OpenEXR.File([OpenEXR.Part({"type": OpenEXR.scanlineimage, "name": name}, dict(part), name)
-                  for name in "ab"]).write(
-        str(tmp_path / "parts.exr"))
+    parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage, "name": name}, dict(part), name) for name in "ab"]
+    OpenEXR.File(parts).write(str(tmp_path / "parts.exr"))
     deep = np.empty((4, 6), dtype=object)
     for place in np.ndindex(4, 6):
         deep[place] = np.ones(2, np.float32)

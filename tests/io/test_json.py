@@ -90,7 +90,6 @@ def test_every_reader_names_the_file(name, text, tmp_path):
 def test_a_link_is_followed_only_where_it_may_be(tmp_path):
     (tmp_path / "real.json").write_text('{"a": 1}')
     (tmp_path / "link.json").symlink_to(tmp_path / "real.json")
-    assert io_json.load(tmp_path / "link.json") == io_json.load(tmp_path / "real.json",
-                                                                      links=False) == {"a": 1}
+    assert load(tmp_path / "link.json") == load(tmp_path / "real.json", links=False) == {"a": 1}
     with pytest.raises(OSError):
-        io_json.load(tmp_path / "link.json", links=False)
+        load(tmp_path / "link.json", links=False)

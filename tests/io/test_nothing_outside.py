@@ -1,6 +1,4 @@
-"""Links, pipes, names that lead elsewhere and files of other users in a result folder: refused, and nothing
-outside changes.
-"""
+"""Links, pipes, names that lead elsewhere and files of others in a result folder change nothing outside."""
 
 import json
 import os

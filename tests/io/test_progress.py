@@ -7,10 +7,9 @@ import sys
 
 import notebooks
 import pytest
-from rich.table import Table
 
 from mitsvbrdf.io import progress
-from mitsvbrdf.io.progress import Cell, Progress, print_numbers, print_rich, progress_bar
+from mitsvbrdf.io.progress import Cell, Progress, print_numbers, progress_bar
 
 ENTRY = {"seconds": 1.5, "iteration": 6, "cost": 2.0, "rerender_rmse": 0.125}
 
@@ -88,14 +87,6 @@ def test_no_name_in_a_table_is_cut_or_read_as_markup(capsys):
     assert first_column(said) == long and "0.1250" in said
 
 
-def test_what_may_not_wrap_is_seen_to_be_cut(capsys):
-    table = Table(show_header=False)
-    table.add_column(no_wrap=True)
-    table.add_row("a" * 500)
-    print_rich(table)
-    assert "aaa…" in capsys.readouterr().out
-
-
 def on_a_terminal(code):
     """What this Python code writes to a terminal."""
     ours, theirs = pty.openpty()
@@ -132,15 +123,6 @@ def test_in_a_notebook_four_times_a_second_and_the_last(displays, clock):
     assert text.startswith("a fit  ━") and "iteration 1999" in text and "50%" in text
     assert bar(text) == pytest.approx(0.5, abs=1 / Cell.WIDTH) and text.count("\n") == 1
     assert bar(displays[0][1]) == 0
-
-
-def test_in_a_notebook_the_end_is_shown_at_once(displays, clock):
-    report = Progress("a fit")  # not as a context manager
-    assert not displays  # a title alone is no output
-    report(ENTRY, 0.0)
-    report(ENTRY, 0.5)
-    report(ENTRY, 1.0)
-    assert len(displays) == 2 and bar(displays[-1][1]) == 1 and "\n100% " in displays[-1][1]
 
 
 def test_a_bar_in_a_notebook_stays_where_it_broke_off(displays, clock):

@@ -72,13 +72,6 @@ def test_a_failing_block_leaves_the_old_result_alone(out):
     assert os.listdir(out.parent) == ["out"]
 
 
-def test_results_are_not_replaced_unasked(out):
-    before = there(out)
-    with pytest.raises(OutputError, match="--overwrite"):
-        make(out, "two")
-    assert there(out) == before and os.listdir(out.parent) == ["out"]
-
-
 @pytest.mark.parametrize("name", ["thesis.txt", "maps/mine.psd", "export/gltf/mine.txt", "deep/a/b"])
 def test_a_folder_with_files_of_others_is_refused_and_they_are_named(name, out):
     files.write_bytes(out / name, b"mine")
@@ -97,13 +90,6 @@ def test_a_file_of_others_that_comes_during_the_work_is_not_lost(out):
             files.write_bytes(out / "notes.txt", b"mine")
     assert (out / "notes.txt").read_bytes() == b"mine"
     assert there(results.partial_folder(out)) == [results.CHECKPOINT]
-
-
-def test_of_many_files_of_others_five_are_named(out):
-    for name in "fedcba":
-        files.write_bytes(out / name, b"mine")
-    with pytest.raises(OutputError, match=r"with a, b, c, d, e \.\.\.;"):
-        make(out, "fit.json", overwrite=True)
 
 
 def test_results_of_another_kind_and_of_ones_own_maps_are_files_of_others(tmp_path):

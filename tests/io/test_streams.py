@@ -1,6 +1,4 @@
-"""Standard streams that are closed, full or without a reader: work goes on, files are whole, and nothing is a
-traceback.
-"""
+"""Standard streams that are closed, full or without a reader: work goes on, and files are whole."""
 
 import errno
 import os
@@ -16,6 +14,7 @@ from mitsvbrdf.io import progress
 from mitsvbrdf.io.progress import Progress, print_numbers, print_rich, progress_bar, say
 from mitsvbrdf.io.streams import Unfailing
 
+OURS = os.environ | {"PYTHONPATH": str(ROOT)}
 pytestmark = pytest.mark.skipif(not os.path.exists("/dev/full"), reason="a device that is always full")
 
 
@@ -44,13 +43,9 @@ def test_what_has_no_room_is_dropped_and_the_first_failure_known():
 
 
 def run(arguments, folder, redirected=""):
-    """Exit code and standard error of a command in a process of its own, its streams as a shell redirects
-    them.
-    """
+    """Exit code and standard error of a command in a process of its own, its streams as a shell redirects."""
     command = ["bash", "-c", f'exec "$@" {redirected}', "bash", sys.executable, "-P", "-m", "mitsvbrdf"]
-    done = subprocess.run([*command, *arguments],
-                          cwd=folder, capture_output=True, text=True,
-                          env=os.environ | {"PYTHONPATH": str(ROOT)})
+    done = subprocess.run([*command, *arguments], cwd=folder, capture_output=True, text=True, env=OURS)
     assert "Traceback" not in done.stderr and "Exception ignored" not in done.stderr, done.stderr
     return done.returncode, done.stderr
 
@@ -72,10 +67,9 @@ def test_without_any_stream_a_file_is_whole_and_holds_nothing_else(tmp_path):
 
 
 def test_a_reader_that_has_seen_enough_is_no_mistake(tmp_path):
-    done = subprocess.run(["bash", "-o", "pipefail", "-c", '"$@" | true', "bash", sys.executable, "-P", "-m",
-                           "mitsvbrdf",
-                           "--help"], capture_output=True, text=True,
-                          env=os.environ | {"PYTHONPATH": str(ROOT)}, cwd=tmp_path)
+    script = f'"{sys.executable}" -P -m mitsvbrdf --help | true'
+    done = subprocess.run(["bash", "-o", "pipefail", "-c", script], capture_output=True, text=True, env=OURS,
+                          cwd=tmp_path)
     assert (done.returncode, done.stderr) == (0, "")
 
 
@@ -174,7 +168,7 @@ sys.exit(main())
 
 def test_ctrl_c_waits_for_an_import(tmp_path):
     done = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, cwd=tmp_path,
-                          env=os.environ | {"PYTHONPATH": str(ROOT)})
+                          env=OURS)
     assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
 
 
@@ -191,6 +185,5 @@ def test_what_a_library_makes_of_ctrl_c_is_ctrl_c(monkeypatch, capsys):
 
 def test_a_current_folder_that_was_deleted_is_one_error(tmp_path):
     script = f'mkdir gone; cd gone; rmdir ../gone; "{sys.executable}" -P -m mitsvbrdf sheet -o tags.svg'
-    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path,
-                          env=os.environ | {"PYTHONPATH": str(ROOT)})
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True, cwd=tmp_path, env=OURS)
     assert done.returncode == 2 and "got one that was deleted; type cd" in done.stderr.replace("\n", " ")
