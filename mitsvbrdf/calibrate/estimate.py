@@ -200,9 +200,8 @@ class Problem:
         slope, common = np.zeros((self.count, ESTIMATED.size, self.layout.size)), self.layout.numbers
         own, photo = PHOTO.unpack(common.photos), np.arange(self.count)
         slope[photo, x, own.place[:, 0]] = slope[photo, y, own.place[:, 1]] = SIDEWAYS
-        slope[photo, z, own.height], slope[:, z, common.height] = HEIGHTS * camera[:,
-                                                                                   2], HEIGHT[1] * camera[:,
-                                                                                                          2]
+        slope[photo, z, own.height] = HEIGHTS * camera[:, 2]
+        slope[:, z, common.height] = HEIGHT[1] * camera[:, 2]
         slope[photo, exposure, own.exposure] = EXPOSURES
         return slope
 
@@ -237,8 +236,8 @@ class Problem:
     def _error(self, radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Errors, 0 where a clipped photo is met by enough light, and their slope by the radiance."""
         error = radiance ** (1 / GAMMA) - self.shown
-        return np.where(self.clipped & (error > 0), 0, error), np.maximum(radiance,
-                                                                          1e-3) ** (1 / GAMMA - 1) / GAMMA
+        slope = np.maximum(radiance, 1e-3) ** (1 / GAMMA - 1) / GAMMA
+        return np.where(self.clipped & (error > 0), 0, error), slope
 
     def errors(self, u: np.ndarray) -> np.ndarray:
         """Errors of the photos and of the priors, in standard deviations; their squares' sum is least."""

@@ -31,6 +31,7 @@ from ..color import CLIPPED, QUANTIZATION_NOISE
 from ..errors import CaptureError, ConfigError
 from ..io.entry import entry
 from ..io.layout import Layout
+from ..kinds import check_fields
 from ..material.maps import SVBRDF
 from ..measure.metrics import photo_rmse
 from ..render.analytic import AnalyticRenderer
@@ -73,8 +74,9 @@ class Priors:
     expected: Tensor | tuple[float, ...] = (0.0,) * len(UNKNOWNS)
 
     def __post_init__(self) -> None:
-        if not all(0 <= sd < float("inf") for sd in (*self.camera, *self.flash, self.exposure,
-                                                     *self.common_flash)):
+        check_fields(self)
+        deviations = (*self.camera, *self.flash, self.exposure, *self.common_flash)
+        if not all(isinstance(sd, (int, float)) and 0 <= sd < math.inf for sd in deviations):
             raise ConfigError("standard deviations of 0 and more, finite", str(self),
                               "give 0 to hold a number fixed")
 
@@ -271,12 +273,11 @@ class Problem:
         for unknown in range(CHANGE["log_exposure"].start):  # camera and flash
             step = torch.zeros(CHANGE.size, dtype=torch.float64)
             step[unknown] = STEP
-            columns.append([self.renderer.render(self.maps, moved(self.given, change + s)) for s in (step,
-                                                                                                     -step)])
+            columns.append(
+                [self.renderer.render(self.maps, moved(self.given, change + s)) for s in (step, -step)])
         columns.append([radiance * math.exp(s) for s in (STEP, -STEP)])
-        slopes = torch.stack([(color.encode(more, self.transfer) - color.encode(less,
-                                                                                self.transfer)) / (2 * STEP)
-                              for more, less in columns], dim=-1).flatten(1, 3)
+        slopes = torch.stack([(color.encode(more, self.transfer) - color.encode(less, self.transfer))
+                              / (2 * STEP) for more, less in columns], dim=-1).flatten(1, 3)
         weights = (HUBER * noise / error.abs()).clamp_max(1) / (noise**2 * alike)
         weights = torch.where(self._bright_enough(error), 0.0, weights).flatten(1)[..., None]
         matrix = torch.block_diag(*(slopes.mT @ (weights * slopes)))

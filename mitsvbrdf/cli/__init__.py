@@ -22,7 +22,7 @@ from .. import __version__
 from ..errors import LARGEST, ConfigError, exit_code, plain_warnings
 from ..errors import strict as refused
 from ..io.files import check_names
-from .renamed import with_new_names
+from .renamed import check_gone, with_new_names
 
 COMMANDS = ("capture", "fit", "batch", "library", "guess", "render", "evaluate", "compare", "crosscheck",
             "stability", "bench", "synth", "doctor", "export", "relight", "report", "sheet", "demo")
@@ -95,6 +95,7 @@ def _run(arguments: list[str]) -> int:
     name, *options = arguments or [""]
     if name in COMMANDS:
         _check_here()
+        check_gone(name, options)
         if name in FITTING:
             from .fit import with_flags
             options = with_flags(options)

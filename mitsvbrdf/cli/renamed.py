@@ -5,6 +5,8 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
+from ..errors import ConfigError
+
 # An option renamed in several commands has a line in each. A flag that help shows as --no-NAME has a line for
 # that form.
 RENAMED_COMMANDS = {"pretrain": "fit --method gan --preset paper-two-stage --pretrain"}
@@ -12,6 +14,10 @@ FIT = {"--own": "--detail-spread", "--tails": "--highlight-reach", "--likeness":
        "--no-independent": "--no-remove-burn-in", "--integrated": "--marginalise",
        "--no-rivals": "--no-multi-start", "--finish": "--detail", "--finish-steps": "--detail-steps"}
 RENAMED: dict[str, dict[str, str]] = {"fit": FIT, "batch": FIT, "bench": {"--left-out": "--held-out"},}
+# Options that are gone, and why.
+NO_GAIN = "it gained nothing on any material (docs/results/lab-notes.md); leave it out"
+GAN = dict.fromkeys(("--guessed-normal", "--highlight-aware", "--kl"), NO_GAIN)
+GONE: dict[str, dict[str, str]] = {"fit": GAN, "batch": GAN}
 
 
 def with_new_names(arguments: Sequence[str]) -> list[str]:
@@ -43,6 +49,15 @@ def with_new_names(arguments: Sequence[str]) -> list[str]:
             said.add(old)
             found[i] = options[old] + equals + value
     return found
+
+
+def check_gone(command: str, options: Sequence[str]) -> None:
+    """Raise ConfigError for an option that the command once had."""
+    for word in options[:options.index("--")] if "--" in options else options:
+        name = word.partition("=")[0].replace("_", "-")
+        if name in GONE.get(command, {}):
+            raise ConfigError(f"an option of `mitsvbrdf {command}`", f"{name}, which is gone",
+                              GONE[command][name])
 
 
 def _say(old: str, new: str) -> None:

@@ -47,8 +47,8 @@ def placed(capture: Capture, fit: Fit) -> Capture:
             if number in capture.index]
     if fit.known_views is None or not both or not fit.of(capture):
         return capture
-    here, there = (views.in_patch_sides().pick(rows) for views, rows in zip((capture.views, fit.views),
-                                                                            zip(*both)))
+    here, there = (views.in_patch_sides().pick(rows)
+                   for views, rows in zip((capture.views, fit.views), zip(*both)))
     shift = torch.cat([(there.camera - here.camera).mean(dim=0)[:2], torch.zeros(1)]) * capture.views.size
     higher = (there.camera[:, 2] / here.camera[:, 2]).log().mean().exp()
     brighter = (there.intensity.sum(dim=1) / here.intensity.sum(dim=1)).log().mean().exp()

@@ -75,8 +75,8 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
     """
     if not config.of_paper or config.pretrained:
         raise ConfigError("a preset of the paper, from untrained weights",
-                          f"preset {config.preset}" + (f" from {config.pretrained}" if config.pretrained
-                                                       else ""),
+                          f"preset {config.preset}"
+                          + (f" from {config.pretrained}" if config.pretrained else ""),
                           'give GanConfig(preset="paper-one-stage", ...) without pretrained')
     config = replace(config, preset="paper-one-stage",
                      iterations=config.iterations or (None if config.budget else 10_000))

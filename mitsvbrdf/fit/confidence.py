@@ -65,10 +65,9 @@ def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, task: FitTask) -> d
     side = min(GRID, svbrdf.resolution)
     seen = (capture.photos < CLIPPED).double()
     miss = seen * (color.to_display(images, capture.transfer) - capture.photos).double().square()
-    weights, missed = (F.adaptive_avg_pool2d(x.permute(0, 3, 1, 2), side).permute(2, 3, 0,
-                                                                                  1).reshape(side * side, -1,
-                                                                                             1)
-                       for x in (seen, miss))
+    weights, missed = (
+        F.adaptive_avg_pool2d(x.permute(0, 3, 1, 2), side).permute(2, 3, 0, 1).reshape(side * side, -1, 1)
+        for x in (seen, miss))
     known = svbrdf.to(torch.float64).resized(side)
     numbers = {name: numbers_of(name, value) for name, value in known.maps.items() if name not in task.fixed}
     if task.config.grey_specular:
@@ -194,8 +193,8 @@ def jacobian(known: SVBRDF, numbers: Mapping[str, Tensor], views: Views, transfe
         coloured = name in COLOURS and count == 3
         for channel in [slice(None)] if coloured else [slice(k, k + 1) for k in range(count)]:
             slope = (moved(name, channel, STEP) - moved(name, channel, -STEP)) / (2 * STEP)
-            columns.append(slope.unflatten(1, (-1, 3)).diag_embed().flatten(1, 2) if coloured else slope[...,
-                                                                                                         None])
+            columns.append(slope.unflatten(1, (-1, 3)).diag_embed().flatten(1, 2) if coloured
+                           else slope[..., None])
     return torch.cat(columns, dim=-1)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, fields
 
 from ..errors import LARGEST, ConfigError
+from ..kinds import check_fields
 from .config import check_seed
 
 
@@ -48,7 +49,8 @@ class DetailConfig:
     """Largest re-rendering RMSE over that of the maps; a larger change is weakened to this."""
 
     def check(self) -> None:
-        """Raise ConfigError for numbers out of range."""
+        """Raise ConfigError for other kinds and numbers out of range."""
+        check_fields(self)
         check_seed(self.seed)
         for field in fields(self):
             value = getattr(self, field.name)

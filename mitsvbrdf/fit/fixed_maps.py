@@ -32,7 +32,7 @@ def stated_maps(fix: Sequence[str], bsdf: Bsdf, grey_specular: bool = False) -> 
     """
     stated: dict[str, str] = {}
     for item in fix:
-        name, sign, value = item.partition("=")
+        name, sign, value = str(item).partition("=")
         if name not in CHANNELS[bsdf] or not sign:
             raise ConfigError(f"--fix NAME=VALUE with a map of {list(CHANNELS[bsdf])}", repr(item),
                               "e.g. --fix normal=flat --fix roughness=0.5")

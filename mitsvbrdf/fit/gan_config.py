@@ -7,31 +7,30 @@ from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
 from ..capture.guess import GuessMethod
 from ..errors import ConfigError
+from ..kinds import check_fields
 from ..views import Falloff
 from .config import FitConfig, Switch
 from .losses import Game
 
 Preset = Literal["minutes", "paper-one-stage", "paper-two-stage"]
 Precision = Literal["auto", "float32", "bfloat16"]
-GeneratorKind = Literal["all-photos", "two-stream", "variational"]
+GeneratorKind = Literal["all-photos", "two-stream"]
 
 # The paper's method (III.C to III.F); it prints no weight of the diffuse loss.
 _PAPER: dict[str, Any] = {
     "guess": "min", "grey_specular": True, "generator": "two-stream", "start": False, "width": 64,
-    "learning_rate": 2e-5,
-    "head_start": 0.0, "decay": False, "normal_roughness_steps": 5, "fresh_pictures": False, "pictures": 1,
-    "discriminator_rate": 2e-5, "game": "bce", "level": False, "angles": False, "paired": False,
-    "clipping": False,
-    "grow": False, "average": 0.0, "adversarial": 1.0, "features": 0.0, "diffuse": 10.0, "smooth": 0.0,
-    "flash_offset": False}
-PRESETS: dict[str, dict[str, Any]] = {"minutes": {
-        "guess": "robust", "grey_specular": False, "generator": "all-photos", "start": True, "width": 16,
-        "learning_rate": 2e-3, "head_start": 0.1, "decay": True, "normal_roughness_steps": 1,
-        "fresh_pictures": False,
-        "pictures": 6, "discriminator_rate": 1e-3, "game": "relativistic", "level": True, "angles": True,
-        "paired": True,
-        "clipping": True, "grow": True, "average": 0.0, "adversarial": 1.0, "features": 10.0, "diffuse": 5.0,
-        "smooth": 1.0, "flash_offset": True}, "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
+    "learning_rate": 2e-5, "head_start": 0.0, "decay": False, "normal_roughness_steps": 5,
+    "fresh_pictures": False, "pictures": 1, "discriminator_rate": 2e-5, "game": "bce", "level": False,
+    "angles": False, "paired": False, "clipping": False, "grow": False, "average": 0.0, "adversarial": 1.0,
+    "features": 0.0, "diffuse": 10.0, "smooth": 0.0, "flash_offset": False}
+_MINUTES: dict[str, Any] = {
+    "guess": "robust", "grey_specular": False, "generator": "all-photos", "start": True, "width": 16,
+    "learning_rate": 2e-3, "head_start": 0.1, "decay": True, "normal_roughness_steps": 1,
+    "fresh_pictures": False, "pictures": 6, "discriminator_rate": 1e-3, "game": "relativistic",
+    "level": True, "angles": True, "paired": True, "clipping": True, "grow": True, "average": 0.0,
+    "adversarial": 1.0, "features": 10.0, "diffuse": 5.0, "smooth": 1.0, "flash_offset": True}
+PRESETS: dict[str, dict[str, Any]] = {
+    "minutes": _MINUTES, "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
 
 # Side of the coarsest phase, texels: below it a discriminator has too few patches to learn anything but each
 # photo by heart (128 px, four known materials, equal time: mean map RMSE .069 from 64 px on, .076 from 32 px
@@ -64,8 +63,7 @@ class GanConfig(FitConfig):
     default_budget: ClassVar[float] = 300.0
 
     preset: Preset = "minutes"
-    """minutes: ours. paper-one-stage: 20,000 iterations. paper-two-stage: 10,000 on one picture, then
-    15,000."""
+    """minutes: ours. paper-one-stage: 20,000 iterations. paper-two-stage: 10,000 on one picture, 15,000."""
     pretrained: str | None = None
     """Checkpoint of `--pretrain` from which the paper's second stage starts."""
     guess: GuessMethod = AS_PRESET
@@ -73,15 +71,9 @@ class GanConfig(FitConfig):
     grey_specular: Switch = AS_PRESET
     """One grey specular level a texel (the paper's) instead of three channels."""
     generator: GeneratorKind = AS_PRESET
-    """all-photos: ours. two-stream: the paper's, sees one photo. variational: the paper's outlook."""
+    """all-photos: ours. two-stream: the paper's, sees one photo."""
     start: Switch = AS_PRESET
     """Start at the guess, one specular level and one roughness. Off: start untrained (the paper's)."""
-    guessed_normal: Switch = False
-    """Start at normals guessed from shading (Glencross 2008; the paper's outlook), not at flat ones."""
-    highlight_aware: Switch = False
-    """The first layers of the generator ignore saturated pixels (Guo Jie 2021; the paper's outlook)."""
-    kl: float = 0.01
-    """Weight of the divergence of the codes of the variational generator."""
     width: int = AS_PRESET
     """Channels of the first convolution of both networks."""
     learning_rate: float = AS_PRESET
@@ -133,15 +125,15 @@ class GanConfig(FitConfig):
         Raises:
             ConfigError: no such preset.
         """
+        check_fields(self, "fix", "preset")
         if self.preset not in get_args(Preset):
             raise ConfigError(f"a preset of {get_args(Preset)}", repr(self.preset), "choose one of these")
         for name, value in PRESETS[self.preset].items():
             if getattr(self, name) is AS_PRESET:
                 object.__setattr__(self, name, value)
-        if self.of_paper and (self.bsdf == "principled" or any(item.startswith("specular=")
-                                                               for item in self.fix)):
-            # No specular map is fitted.
-            object.__setattr__(self, "grey_specular", False)
+        fixed = any(item.startswith("specular=") for item in self.fix)
+        if self.of_paper and (self.bsdf == "principled" or fixed):
+            object.__setattr__(self, "grey_specular", False)  # no specular map is fitted
 
     def check(self) -> None:
         """Raise ConfigError for numbers out of range, and for settings that do not go together."""
@@ -161,12 +153,9 @@ class GanConfig(FitConfig):
         if self.normal_roughness_steps > 1 and self.generator != "two-stream":
             raise ConfigError("--generator two-stream with several steps of one decoder",
                               f"--generator {self.generator}", "leave --normal-roughness-steps at 1")
-        if self.guessed_normal and not self.start:
-            raise ConfigError("--start beside a guessed normal", "no start",
-                              "add --start, or leave --guessed-normal out")
         if self.average >= 1:
-            raise ConfigError("average below 1", str(self.average), "0.99 averages over some 100 steps; 0 "
-                                                                    "does not average")
+            raise ConfigError("average below 1", str(self.average),
+                              "0.99 averages over some 100 steps; 0 does not average")
         if self.head_start > 1:
             raise ConfigError("a head start of 0 to 1", str(self.head_start),
                               "0.1 is a tenth of it; 0 gives none")

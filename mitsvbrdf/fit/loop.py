@@ -142,8 +142,8 @@ class Loop:
             self._record(seen, losses)
         return good, losses
 
-    def _checked(self, good: dict[str, Tensor], losses: dict[str, float]) -> tuple[dict[str, Tensor],
-                                                                                   dict[str, float], Seen]:
+    def _checked(self, good: dict[str, Tensor],
+                 losses: dict[str, float]) -> tuple[dict[str, Tensor], dict[str, float], Seen]:
         """The present state, its losses and its look; if not finite, the one before without losses."""
         seen = self._look()
         if not isinstance(seen, str):

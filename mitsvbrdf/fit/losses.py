@@ -136,5 +136,5 @@ def adversarial(real: Tensor, fake: Tensor, game: Game = "bce") -> Tensor:
 
 def features(real: Sequence[Tensor], fake: Sequence[Tensor]) -> Tensor:
     """Mean distance of activations, each layer in units of the photo's mean (Salimans 2016)."""
-    return torch.stack([(f - r).abs().mean() / r.abs().mean().clamp_min(1e-3) for r, f in zip(real,
-                                                                                              fake)]).mean()
+    return torch.stack(
+        [(f - r).abs().mean() / r.abs().mean().clamp_min(1e-3) for r, f in zip(real, fake)]).mean()

@@ -20,6 +20,7 @@ PREDICTED = 9  # held-out photos that the page of a fit shows at once; `report -
 
 FORMER = {"own": "detail_spread", "tails": "highlight_reach", "likeness": "similarity",
           "independent": "remove_burn_in", "integrated": "marginalise", "rivals": "multi_start"}
+GONE = ("guessed_normal", "highlight_aware", "kl")  # settings of earlier fits; their fit.json is still read
 
 
 @dataclass(frozen=True)
@@ -39,8 +40,7 @@ class FitOptions:
     variant: Literal["llvm_ad_rgb", "cuda_ad_rgb"] = "llvm_ad_rgb"
     """Mitsuba variant."""
     detail: Literal["none", "gan"] = "none"
-    """gan: write OUT/detail, one plausible draw of what no photo shows, for pictures. OUT/maps stays the
-    same."""
+    """gan: write OUT/detail, one plausible draw of what no photo shows, for pictures. OUT/maps stays."""
     detail_steps: int = DetailConfig.steps
     """Steps of --detail gan. 80 take under a minute at 256 px."""
 
@@ -81,5 +81,5 @@ def config_record(config: FitConfig) -> dict:
 def config_of(record: dict) -> FitConfig:
     """The settings that a record of :func:`config_record` holds, under their present or former names."""
     settings: dict[str, Any] = {FORMER.get(name, name): tuple(value) if isinstance(value, list) else value
-                                for name, value in record.items() if name != "method"}
+                                for name, value in record.items() if name not in ("method", *GONE)}
     return METHODS[record["method"]].config(**settings)

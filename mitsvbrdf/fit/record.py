@@ -30,8 +30,8 @@ _KNOWN = {"views": {"size": NUMBER, "falloff": str, "camera": [[NUMBER]], "light
 # where they are there
 _BESIDE = {"calibration": dict, "variant": (str, NONE), "detail": dict, "profile": dict}
 # What the page says of the views.
-FROM = {"given": "The views are those of the capture's calibration", "sheet": "The views come from a sheet "
-                                                                              "of tags",
+FROM = {"given": "The views are those of the capture's calibration",
+        "sheet": "The views come from a sheet of tags",
         "photos": "The views come from features that the photos share",
         "none": "The views are a stated default geometry",
         "estimated": "The views were estimated from the rectified photos alone"}

@@ -89,8 +89,7 @@ class Fit:
                             "give the OUT of a fit")
         fit = _read(folder)
         if wrong := missing(fit.record):
-            raise MapsError(f"a {FILE} of schema version {SCHEMA_VERSION}",
-                            f"{folder / FILE}: {wrong}",
+            raise MapsError(f"a {FILE} of schema version {SCHEMA_VERSION}", f"{folder / FILE}: {wrong}",
                             "fit again with this version")
         _ = fit.svbrdf  # maps that cannot be read are an error here
         return fit

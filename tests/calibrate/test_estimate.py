@@ -204,8 +204,8 @@ def test_photos_left_out_are_predicted_from_views_estimated_from_all(glossy, tmp
     # All through the commands, from a capture.json that says nothing of views.
     write_capture(photos(make_material("inlay", 24), glossy[1]), tmp_path / "photos")
     stated = json.loads((tmp_path / "photos/capture.json").read_text())
-    left = {key: value for key, value in stated.items() if key not in ("camera_pos", "light_pos", "light_pow",
-                                                                       "calibration")}
+    left = {key: value for key, value in stated.items()
+            if key not in ("camera_pos", "light_pos", "light_pow", "calibration")}
     (tmp_path / "photos/capture.json").write_text(json.dumps(left))
     out, capture = str(tmp_path / "out"), str(tmp_path / "photos")
     assert cli.main(["fit", capture, "-o", out, "--resolution", "24", "--iterations", "14", "--views",

@@ -64,8 +64,8 @@ def test_perturbed_calibration_is_found_within_the_stated_errors(name, seed):
     # states.
     again, other = (refine_views(material, views, shots, start=start) for start in (found.change, truth))
     assert again.iterations <= 2 < found.iterations
-    assert all(((there.change - found.change) / found.deviation).abs().max() < 0.05 for there in (again,
-                                                                                                  other))
+    assert all(((there.change - found.change) / found.deviation).abs().max() < 0.05
+               for there in (again, other))
 
 
 def test_photos_do_not_depend_on_each_other_nor_on_the_unit():
@@ -194,8 +194,10 @@ def test_mistakes_are_refused():
         refine_views(material, views.pick([1, 2]), shots)
     with pytest.raises(ConfigError, match="camera_x"):
         refine_views(material, views, shots, Priors(expected=(0.0, 0.1)))
-    with pytest.raises(ConfigError, match="0 and more"):
-        Priors(exposure=-1.0)
+    for wrong, words in (({"exposure": -1.0}, "0 and more"), ({"camera": ("a",) * 3}, "0 and more"),
+                         ({"exposure": "a"}, "exposure")):
+        with pytest.raises(ConfigError, match=words):
+            Priors(**wrong)
 
 
 def test_evaluate_prints_and_writes_both(tmp_path, capsys):

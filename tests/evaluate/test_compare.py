@@ -121,8 +121,8 @@ def test_fitted_views_are_those_of_the_fit_for_the_photos_it_saw(shots):
     assert torch.equal(views.camera, capture.views.camera) and torch.allclose(views.intensity, true.intensity,
                                                                               atol=1e-12)
     assert torch.allclose(views.light[1:], true.light[1:], atol=1e-12)
-    assert torch.allclose(views.light[0] - capture.views.light[0], torch.tensor([0.05, -0.02, 0.0],
-                                                                                dtype=torch.float64))
+    assert torch.allclose(views.light[0] - capture.views.light[0],
+                          torch.tensor([0.05, -0.02, 0.0], dtype=torch.float64))
     elsewhere, names = fitted_views(fit.but(capture="others"), capture)
     assert not names and torch.allclose(elsewhere.light[:, 0] - capture.views.light[:, 0],
                                         torch.full((3,), 0.05).double())
@@ -226,8 +226,8 @@ def test_the_table_has_every_figure(compared):
     seen, left = methods[0]["rmse_seen"], methods[0]["rmse_held_out"]
     assert seen == pytest.approx(np.sqrt(np.mean([methods[0]["per_photo"][name] ** 2 for name in ("00",
                                                                                                   "01")])))
-    for title, value in (("those that the fit saw, as pictured", seen), ("those that the fit did not see",
-                                                                         left)):
+    for title, value in (("those that the fit saw, as pictured", seen),
+                         ("those that the fit did not see", left)):
         assert re.search(rf"{title}</th><td>{value:.4f}</td><td>–</td>", page.text)
     # Marked is the smallest where views were the same: four maps, their mean, and two rows over all photos.
     rows = [re.findall(r'<td( class="best")?>([0-9.]+)</td>', row) for row in page.text.split("<tr>")]

@@ -166,8 +166,8 @@ def test_the_deviation_predicts_where_the_error_is():
     truth = make_material("plates", SIDE)
     result = fit_svbrdf(photos_of(truth), ANALYTIC, DirectConfig(iterations=150))
     for name, spread in result.deviations.items():
-        error = (numbers_of(name, result.svbrdf[name]) - numbers_of(name, truth[name])).square().mean(
-                                                                        dim=-1).flatten()
+        error = (numbers_of(name, result.svbrdf[name])
+                 - numbers_of(name, truth[name])).square().mean(dim=-1).flatten()
         ranks = torch.stack([x.argsort().argsort().double() for x in (error,
                                                                       spread.square().mean(dim=-1).flatten())])
         assert torch.corrcoef(ranks)[0, 1] > 0.5, name

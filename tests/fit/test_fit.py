@@ -16,6 +16,7 @@ from mitsvbrdf.fit import (
     DirectConfig,
     FitTask,
     GanConfig,
+    HierarchicalConfig,
     HybridConfig,
     fit_svbrdf,
     gan_config,
@@ -23,6 +24,7 @@ from mitsvbrdf.fit import (
     pretrain,
 )
 from mitsvbrdf.fit.checkpoint import load_tensors
+from mitsvbrdf.fit.detail_config import DetailConfig
 from mitsvbrdf.fit.loop import Loop
 from mitsvbrdf.fit.method import descend
 from mitsvbrdf.fit.start import robust_start
@@ -33,9 +35,7 @@ from mitsvbrdf.render import make_renderer
 
 SMALL = {"hybrid": HybridConfig(width=8), "direct": DirectConfig(), "gan": GanConfig(width=8),
          "gan, one stage": GanConfig(width=8, preset="paper-one-stage"),
-         "gan, two stages": GanConfig(width=8, preset="paper-two-stage"),
-         "gan, outlook": GanConfig(width=8, generator="variational", guessed_normal=True,
-                                   highlight_aware=True)}
+         "gan, two stages": GanConfig(width=8, preset="paper-two-stage")}
 # Of 64 px there are two phases; the second begins at iteration 10 of 24, the checkpoint is from iteration 5
 # or 13.
 RESUMED = {name: (config, 32, 13) for name, config in SMALL.items()} | {
@@ -52,8 +52,8 @@ def with_limits(config, **limits):
 @pytest.mark.parametrize("method", SMALL)
 @pytest.mark.parametrize("bsdf", CHANNELS)
 def test_every_method_through_mitsuba(method, bsdf, leather):
-    result = fit_svbrdf(leather, make_renderer("mitsuba"), with_limits(SMALL[method], iterations=12,
-                                                                       bsdf=bsdf))
+    result = fit_svbrdf(leather, make_renderer("mitsuba"),
+                        with_limits(SMALL[method], iterations=12, bsdf=bsdf))
     result.svbrdf.check()
     assert result.stopped == "iterations" and result.variant == "llvm_ad_rgb" and result.omitted
     assert [entry["iteration"] for entry in result.trace] == [0, 10, 12]
@@ -256,6 +256,15 @@ def test_resume_refuses_another_fit(capture, tmp_path):
     fit_svbrdf(capture, renderer, DirectConfig(iterations=4), resume=path)
     with pytest.raises(ConfigError, match="Hybrid"):
         fit_svbrdf(capture, renderer, HybridConfig(iterations=4), resume=path)
+
+
+@pytest.mark.parametrize("config, name", [
+    (lambda: HierarchicalConfig(seed="x"), "seed"), (lambda: HybridConfig(budget="10"), "budget"),
+    (lambda: HierarchicalConfig(fix=(1,)), "fix"), (lambda: GanConfig(fix=5), "fix"),
+    (lambda: GanConfig(preset=[]), "preset"), (lambda: DetailConfig(steps="x"), "steps")])
+def test_a_setting_of_another_kind_is_one_error(config, name):
+    with pytest.raises(ConfigError, match=name):
+        config().check()
 
 
 @pytest.mark.parametrize("wrong", [{"budget": -1.0}, {"iterations": 0}, {"budget": float("nan")}])

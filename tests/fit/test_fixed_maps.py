@@ -216,8 +216,8 @@ def test_a_kept_state_does_not_move(method, capture):
 
 def test_smoothness_counts_only_what_is_fitted():
     svbrdf, edges = make_material("plates", SIDE), losses.edge_weights(torch.full((SIDE, SIDE, 3), 0.2))
-    roughness, specular = (float(losses.total_variation(svbrdf, edges, [held])) for held in ("specular",
-                                                                                             "roughness"))
+    roughness, specular = (float(losses.total_variation(svbrdf, edges, [held]))
+                           for held in ("specular", "roughness"))
     assert roughness > 0 and specular > 0
     assert float(losses.total_variation(svbrdf, edges)) == pytest.approx(roughness + specular)
 

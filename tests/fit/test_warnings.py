@@ -99,16 +99,16 @@ def test_a_strong_specular_that_hardly_anything_determines(rows, columns, place,
     spread = torch.full((SIDE, SIDE, 3), 0.01)
     spread[rows, columns] = 0.2
     share = 1 - (rows.stop - rows.start) * (columns.stop - columns.start) / SIDE**2
-    (said,) = [warning for warning in fit_warnings(with_maps(fitted, spread=spread, diffuse=0.2,
-                                                             specular=0.28), leather)
-               if warning.startswith("median specular")]
+    (said,) = [warning
+               for warning in fit_warnings(with_maps(fitted, spread=spread, diffuse=0.2, specular=0.28),
+                                           leather) if warning.startswith("median specular")]
     assert f"of 0.28, {share:.0%} of it determined" in said and f"highlight {place}," in said and "--fix specular=0.04" in said
 
 
 def test_a_specular_that_is_usual_determined_or_given_is_no_doubt(fitted, leather):
     sure = torch.full((SIDE, SIDE, 3), 0.01)
-    for found in (with_maps(fitted, diffuse=0.2, specular=0.28, spread=sure), with_maps(fitted, diffuse=0.2,
-                                                                                        specular=0.05),
+    for found in (with_maps(fitted, diffuse=0.2, specular=0.28, spread=sure),
+                  with_maps(fitted, diffuse=0.2, specular=0.05),
                   with_maps(fitted, ("specular=0.28",), diffuse=0.2, specular=0.28)):
         assert not any("median specular" in warning for warning in fit_warnings(found, leather))
 
@@ -125,8 +125,8 @@ def test_texels_that_reflect_more_than_arrives(fitted, leather):
     bright = [warning for warning in fit_warnings(with_maps(fitted, diffuse=0.8, specular=0.3), leather)
               if "100% of the texels reflect more than arrives" in warning]
     assert len(bright) == 1
-    for found in (with_maps(fitted, diffuse=0.6, specular=0.3), with_maps(fitted, ("diffuse=0.8",),
-                                                                          diffuse=0.8, specular=0.3)):
+    for found in (with_maps(fitted, diffuse=0.6, specular=0.3),
+                  with_maps(fitted, ("diffuse=0.8",), diffuse=0.8, specular=0.3)):
         assert not any("more than arrives" in warning for warning in fit_warnings(found, leather))
 
 
@@ -141,9 +141,8 @@ def test_photos_that_are_the_same_picture(fitted, leather):
 
 
 def played(fitted, config, losses):
-    trace = [{"iteration": 10 * n, "seconds": 1.0 * n, "rerender_rmse": 0.05} | ({"discriminator": loss} if n
-                                                                                 else {})
-             for n, loss in enumerate([0.0, *losses])]
+    trace = [{"iteration": 10 * n, "seconds": 1.0 * n, "rerender_rmse": 0.05}
+             | ({"discriminator": loss} if n else {}) for n, loss in enumerate([0.0, *losses])]
     return fitted.but(config=config, trace=trace)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 from torch import nn
 
 from ...errors import ConfigError
@@ -14,12 +12,9 @@ from ..parameters import Streams
 from ..start import robust_start
 from ..task import FitTask
 from .conditioning import condition_channels
-from .guessed_normal import guess_normal
-from .highlight_aware import make_highlight_aware
 from .networks import AllPhotosGenerator, TwoStreamGenerator, seeded
-from .variational import VariationalGenerator
 
-Generator = AllPhotosGenerator | TwoStreamGenerator | VariationalGenerator
+Generator = AllPhotosGenerator | TwoStreamGenerator
 
 
 def make_generator(config: GanConfig, streams: Streams, photos: int) -> Generator:
@@ -35,19 +30,10 @@ def make_generator(config: GanConfig, streams: Streams, photos: int) -> Generato
     """
     with seeded(config.seed):
         generator: Generator
-        encoder: nn.Sequential | nn.ModuleList
         if config.generator == "two-stream":
             generator = TwoStreamGenerator(streams, config.width, config.start)
-            encoder, seen = generator.encoder, 1
-        elif config.generator == "variational":
-            generator = VariationalGenerator(streams, config.width, change=config.start)
-            encoder, seen = generator.photos, 1
         else:
-            generator = AllPhotosGenerator(condition_channels(photos), streams, config.width,
-                                           change=config.start)
-            encoder, seen = generator.down, photos
-        if config.highlight_aware:
-            make_highlight_aware(encoder, seen)
+            generator = AllPhotosGenerator(condition_channels(photos), streams, config.width, config.start)
     if config.pretrained:
         load_generator(generator, config, config.pretrained)
     return generator
@@ -56,16 +42,11 @@ def make_generator(config: GanConfig, streams: Streams, photos: int) -> Generato
 def starting_material(task: FitTask[GanConfig]) -> SVBRDF | None:
     """What the generator's maps are a change to; None where it starts untrained."""
     config = task.config
-    if not config.start:
-        return None
-    start = robust_start(task.capture, task.guess, config.bsdf, task.fixed)
-    if config.guessed_normal and "normal" not in task.fixed:
-        start = replace(start, maps=dict(start.maps) | {"normal": guess_normal(task.capture, task.guess)})
-    return start
+    return robust_start(task.capture, task.guess, config.bsdf, task.fixed) if config.start else None
 
 
 def load_generator(generator: nn.Module, config: GanConfig, path: str) -> None:
-    """Fill a generator from a checkpoint of ``mitsvbrdf pretrain`` or of a ``gan`` fit.
+    """Fill a generator from a checkpoint of ``mitsvbrdf fit --pretrain`` or of a ``gan`` fit.
 
     Raises:
         ConfigError: no checkpoint, or one of another width or parameter set.
@@ -76,5 +57,5 @@ def load_generator(generator: nn.Module, config: GanConfig, path: str) -> None:
     except RuntimeError:
         raise ConfigError(f"a generator of width {config.width} for {config.bsdf}",
                           f"another one in {path} (bsdf {note.get('bsdf')})",
-                          "use the --width, --bsdf, --generator, --highlight-aware, --fix and "
-                          "--grey-specular it was pretrained with") from None
+                          "use the --width, --bsdf, --generator, --fix and --grey-specular it was pretrained "
+                          "with") from None

@@ -15,7 +15,6 @@ from ...material.resample import area_averaged, enlarged
 from ..gan_config import GanConfig
 from ..parameters import Streams, before_tanh, to_raw
 from ..task import FitTask
-from . import variational
 from .pictures import Window
 
 
@@ -40,16 +39,12 @@ class Conditioning:
         self.start = (before_tanh(to_raw(start if same else start.resized(resolution), streams)) if start
                       else {})
         self.carried = {name: enlarged(value, resolution) for name, value in carried.items()}
-        self.variational = task.config.generator == "variational"
-        self.condition = self._condition(self.capture)
-
-    def _condition(self, capture: Capture) -> Tensor:
-        return (variational.condition_of if self.variational else condition_of)(capture, self.guess)
+        self.condition = condition_of(self.capture, self.guess)
 
     def condition_from(self, photo: int) -> Tensor:
         """Input of a generator of all photos; this photo comes first, then the others in their order."""
         numbers = self.capture.index
-        return (self._condition(self.capture.pick((*numbers[photo:], *numbers[:photo]))) if photo
+        return (condition_of(self.capture.pick((*numbers[photo:], *numbers[:photo])), self.guess) if photo
                 else self.condition)
 
     def units(self, change: Mapping[str, Tensor], window: Window | None = None) -> dict[str, Tensor]:

@@ -33,7 +33,6 @@ from .conditioning import Conditioning
 from .networks import PatchDiscriminator, TwoStreamGenerator, frozen, seeded
 from .pictures import Pictures, PictureSource, seen_through
 from .precision import is_faster_in_bfloat16
-from .variational import VariationalGenerator
 
 FIRST_STEP = 0.02  # of the step size, at the least, while it rises: no step moves nothing
 
@@ -88,10 +87,9 @@ class Gan(Method[GanConfig]):
         with seeded(config.seed + 1 + phase):
             inputs = 3 + 2 * config.angles + 3 * config.paired
             self.discriminator = PatchDiscriminator(config.width, inputs, config.level)
-        trained: dict[str, list[nn.Module | None]] = (
-            {"slow": [g.encoder, g.diffuse_specular], "fast": [g.normal_roughness]} if isinstance(g,
-                                                                                                  TwoStreamGenerator)
-            else {"slow": [g]})
+        trained: dict[str, list[nn.Module | None]] = {"slow": [g]}
+        if isinstance(g, TwoStreamGenerator):
+            trained = {"slow": [g.encoder, g.diffuse_specular], "fast": [g.normal_roughness]}
         groups: dict[str, list[Tensor]] = {
             name: [p for module in modules if module is not None for p in module.parameters()]
             for name, modules in (trained | {"judge": [self.discriminator]}).items()}
@@ -155,9 +153,6 @@ class Gan(Method[GanConfig]):
                 if terms:
                     total = total + losses.weighted(terms, config.weights)
             logged |= {name: float(value.detach()) for name, value in terms.items()}
-        if isinstance(self.generator, VariationalGenerator):
-            total = total + config.kl * self.generator.divergence
-            logged["divergence"] = float(self.generator.divergence.detach())
         if total.requires_grad:
             moved = [name for name in ("fast", "slow", "flash") if name in self.optimizers
                      and (first or name == "fast")]
@@ -176,8 +171,8 @@ class Gan(Method[GanConfig]):
             switch_at("hand-over, backward", *svbrdf.maps.values())
         return svbrdf
 
-    def _out(self, scale: Conditioning, pictures: Pictures, first: bool = True, photo: int = 0) -> dict[str,
-                                                                                                        Tensor]:
+    def _out(self, scale: Conditioning, pictures: Pictures, first: bool = True,
+             photo: int = 0) -> dict[str, Tensor]:
         """Output of the generator before Tanh, in the window of the pictures; ``photo`` comes first."""
         g, (top, left, side) = self.generator, pictures.window
         with self._networks():
@@ -188,10 +183,7 @@ class Gan(Method[GanConfig]):
                         self.resting = code, g.decode(1, code, side)
                 out = g.decode(0, self.resting[0], side) | self.resting[1]
             else:
-                condition = scale.condition_from(photo)[..., top:top + side, left:left + side]
-                drawn = ({"random": self.random}
-                         if isinstance(g, VariationalGenerator) and torch.is_grad_enabled() else {})
-                out = g(condition, **drawn)
+                out = g(scale.condition_from(photo)[..., top:top + side, left:left + side])
         out = {name: value.float() for name, value in out.items()}
         if self.fits_offset and "normal" in out:
             # The patch is flat as a whole (it lies in z = 0): without this a common tilt would hide the flash

@@ -53,8 +53,8 @@ def patch_distance(rendered: Tensor, photos: Tensor, angle: Tensor, random: torc
     directions = F.normalize(torch.randn(PATCH * PATCH * 3, DIRECTIONS, generator=random), dim=0)
     # The projections of all patches at once are a convolution.
     kernel = directions.T.reshape(DIRECTIONS, 3, PATCH, PATCH)
-    first, second = (F.conv2d(x.permute(0, 3, 1, 2), kernel, stride=STRIDE).flatten(2) for x in (rendered,
-                                                                                                 photos))
+    first, second = (F.conv2d(x.permute(0, 3, 1, 2), kernel, stride=STRIDE).flatten(2)
+                     for x in (rendered, photos))
     middle = angle[:, PATCH // 2:, PATCH // 2:][:, ::STRIDE, ::STRIDE]
     sides = [(side - PATCH) // STRIDE + 1 for side in angle.shape[1:]]
     order = middle[:, :sides[0], :sides[1]].flatten(1).argsort(dim=1)

@@ -128,8 +128,8 @@ class Kernel:
         self.shader.release()
         # The slopes were by what the plugin takes; these factors make them slopes by the unknowns.
         by = texels.stretch
-        return cost, [s * b for s, b in zip(slope, by)], [v * by[i] * by[j] for (i, j), v in zip(self.pairs,
-                                                                                                 curve)]
+        curve = [v * by[i] * by[j] for (i, j), v in zip(self.pairs, curve)]
+        return cost, [s * b for s, b in zip(slope, by)], curve
 
 
 class Texels:

@@ -129,8 +129,8 @@ class Hierarchical(Method[HierarchicalConfig]):
             self.answer = self.start()
         if stage == Stage.FINE:
             turns = steps_of_turns(len(self.capture)) * self.scales.of(Stage.ALONE).texels
-            hurried = hurried or not (self.stages.exact or self.budget.in_time(turns,
-                                                                             beside=ROUND_STEPS - STEPS))
+            hurried = hurried or not (self.stages.exact
+                                      or self.budget.in_time(turns, beside=ROUND_STEPS - STEPS))
             self.scale, self.answer = self._at_full_size(learn=not hurried)
         self.stages.enter(stage, hurried)
 
@@ -175,9 +175,8 @@ class Hierarchical(Method[HierarchicalConfig]):
         for photo in turns:
             others, answer = every.without(photo), self.answer
             for _ in range(AGREED):
-                answer = self._tied(scale, others,
-                                    answer._replace(x=stepped(scale.solver, others, answer, self.prior,
-                                                              STEPS).x))
+                answer = self._tied(scale, others, answer._replace(
+                    x=stepped(scale.solver, others, answer, self.prior, STEPS).x))
             free, some = self._freed(answer, fine), self.scales.sampled
             starts[photo] = TexelEstimate(some(free.x), some(free.mean), some(free.precision), free.spread)
         sharp = self.scales.of(Stage.ALONE)

@@ -65,8 +65,8 @@ class Scales:
     def __init__(self, capture: Capture, guess: Tensor, fixed: Mapping[str, Tensor],
                  config: HierarchicalConfig, variant: str) -> None:
         self.guess, self.fixed, self.config, self.variant = guess, fixed, config, variant
-        sampled, averaged = (make(min(COARSE, capture.resolution)) for make in (capture.sampled,
-                                                                                capture.averaged))
+        sampled, averaged = (make(min(COARSE, capture.resolution))
+                             for make in (capture.sampled, capture.averaged))
         # Photos no larger than that are the same in every stage, down to how they lie in memory: sums depend
         # on it.
         full = averaged if averaged.resolution == capture.resolution else capture

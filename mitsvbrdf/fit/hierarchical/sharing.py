@@ -171,8 +171,8 @@ def marginalised(solver: TexelSolver, observations: Observations, x: Tensor, pre
 
     def matrix(at: Tensor) -> tuple[Tensor, Tensor]:
         cost, _, curve = solver.normal_equations(observations, at)
-        return cost, curve.permute(2, 3, 0, 1).double() + torch.diag_embed(precision.permute(1, 2,
-                                                                                             0).double())
+        prior = torch.diag_embed(precision.permute(1, 2, 0).double())
+        return cost, curve.permute(2, 3, 0, 1).double() + prior
 
     def volume(at: Tensor) -> Tensor:
         return torch.linalg.slogdet(matrix(at)[1][..., own[:, None], own]).logabsdet

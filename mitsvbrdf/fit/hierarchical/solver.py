@@ -159,9 +159,8 @@ class TexelSolver:
         with using_mitsuba(self.variant) as mi:
             moved, (damping, data, prior) = self._found(side, x, self._kernel(observations, side).steps(
                 self._problem(observations, side), self._planes(x), *self._planes(damping[None]),
-                self._planes(mean),
-                self._planes(precision), [opaque(mi, v) for v in low], [opaque(mi, v) for v in high],
-                opaque(mi, iterations)))
+                self._planes(mean), self._planes(precision), [opaque(mi, v) for v in low],
+                [opaque(mi, v) for v in high], opaque(mi, iterations)))
         return Solved(moved, damping, data, prior)
 
     def variances(self, observations: Observations, x: Tensor, precision: Tensor) -> Tensor:

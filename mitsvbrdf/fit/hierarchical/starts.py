@@ -33,8 +33,8 @@ def stepped(solver: TexelSolver, observations: Observations, answer: TexelEstima
 
 def other_starts(prior: TexelPrior, turn: int) -> list[Callable[[TexelEstimate], TexelEstimate]]:
     """Starts from two neighbours and two tilts; others in each turn."""
-    starts: list[Callable[[TexelEstimate], TexelEstimate]] = [partial(_neighbour, by=1 if turn % 2 else -1,
-                                                                      axis=axis) for axis in (1, 2)]
+    starts: list[Callable[[TexelEstimate], TexelEstimate]] = [
+        partial(_neighbour, by=1 if turn % 2 else -1, axis=axis) for axis in (1, 2)]
     if len(prior.slopes):
         starts += [partial(_tilted, prior=prior, steep=TILTS[turn % len(TILTS)], along=GOLDEN * turn
                            + half_turn) for half_turn in (0.0, math.pi)]

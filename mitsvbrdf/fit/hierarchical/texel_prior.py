@@ -87,8 +87,8 @@ class TexelPrior:
         mean, precision, spread = answer.mean.clone(), answer.precision.clone(), answer.spread
         if len(self.shared):
             names = [self.unknowns.names[i] for i in self.shared]
-            x, unsure, *prior = (t[self.shared].flatten(1) for t in (answer.x, variance, answer.mean,
-                                                                     answer.precision))
+            x, unsure, *prior = (t[self.shared].flatten(1)
+                                 for t in (answer.x, variance, answer.mean, answer.precision))
             found, tau, spread = shared(names, x, unsure, prior[0], prior[1], member, answer.spread,
                                         0 if tied else photos)
             mean[self.shared] = corrected(found.reshape(-1, *answer.x.shape[1:]))
@@ -117,9 +117,8 @@ class TexelPrior:
 
     def free(self, answer: TexelEstimate) -> TexelEstimate:
         """Let every texel leave its tied answer, which becomes its prior; the diffuse map as it likes."""
-        return answer._replace(mean=answer.x.clone(), precision=self._precision(answer.x,
-                                                                                lambda name: self._freedom(
-                                                                                    name)[0]))
+        return answer._replace(mean=answer.x.clone(),
+                               precision=self._precision(answer.x, lambda name: self._freedom(name)[0]))
 
     def loosen(self, answer: TexelEstimate, variance: Tensor) -> TexelEstimate:
         """Set the spread around the tied estimate to the one seen (expectation-maximisation)."""
@@ -139,8 +138,8 @@ class TexelPrior:
         """Standard deviations of a map's texels around the tied answer: at first, at least and at most."""
         if name not in FREEDOM:
             return (VAGUE[name],) * 3
-        first, least, most = (max(times * self.config.detail_spread, FIXED) for times in (*FREEDOM[name],
-                                                                                          FREEST))
+        first, least, most = (max(times * self.config.detail_spread, FIXED)
+                              for times in (*FREEDOM[name], FREEST))
         return first, least, most
 
     def levelled(self, answer: TexelEstimate) -> tuple[TexelEstimate, Tensor]:

@@ -74,8 +74,8 @@ def test_other_matte_materials_with_noise_and_larger(name, noise, side):
 def test_a_matte_material_is_fitted_without_a_lobe(settings):
     truth = material(0.0)
     if "fix" in settings:
-        truth = SVBRDF(truth.bsdf, dict(truth.maps) | {"normal": torch.tensor([0.0, 0.0, 1.0]).expand(SIDE,
-                                                                                                      SIDE, 3)})
+        truth = SVBRDF(truth.bsdf, dict(truth.maps)
+                       | {"normal": torch.tensor([0.0, 0.0, 1.0]).expand(SIDE, SIDE, 3)})
     method = left_alone(photos_of(truth), **settings)
     assert method.stages.matte and method.stages.stage == Stage.FINE
     assert {omitted.LOBE, omitted.MULTI_START, omitted.TIED} <= set(dict(method.omitted))
