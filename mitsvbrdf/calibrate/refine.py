@@ -51,8 +51,7 @@ ITERATIONS, SETTLED = 30, 1e-2  # at most; and the step, in prior standard devia
 
 @dataclass(frozen=True)
 class Priors:
-    """How far a calibration may be off: standard deviations, in patch sides. 0 holds a number where it is
-    expected.
+    """How far a calibration may be off: standard deviations, in patch sides. 0 holds a number.
 
     Args:
         camera: (x, y, z) of each photo's camera; the flash moves along. Captures whose calibration could be

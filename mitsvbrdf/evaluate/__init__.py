@@ -20,8 +20,7 @@ from .placement import placed
 
 @entry()
 def evaluate_maps(svbrdf: SVBRDF, material: str | Path) -> dict[str, float]:
-    """RMSE of each map against a folder of known maps, counted as :func:`mitsvbrdf.measure.metrics.map_rmse`
-    says.
+    """RMSE of each map against a folder of known maps (:func:`mitsvbrdf.measure.metrics.map_rmse`).
 
     Returns:
         ``diffuse``, ``specular``, ``roughness``, ``normal`` and their ``mean``.

@@ -42,8 +42,7 @@ class Entry:
 def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_errors: MapErrors
             | None = None, transfer: color.Transfer | None = None, priors: Priors | None = None,
             index: Sequence[int] | None = None) -> tuple[dict, list[Tensor]]:
-    """Measure every method at the photos' resolution; maps of another one are brought to it
-    (:meth:`SVBRDF.resized`).
+    """Measure every method at the photos' resolution, to which maps are brought.
 
     Photos are rendered, and errors counted, as :func:`~mitsvbrdf.evaluate.photos.evaluate_photos` says.
 

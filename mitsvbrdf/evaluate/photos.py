@@ -60,8 +60,7 @@ def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Render
 
 
 def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
-    """The views to show a fit's maps with, and the names of the photos among them whose view comes from the
-    fit.
+    """The views to show a fit's maps with, and the names of the photos whose view is the fit's.
 
     These are the photos that it saw, where it was fitted to this capture; the others have the capture's view
     and the flash offset of the fit. Lengths are in patch sides.

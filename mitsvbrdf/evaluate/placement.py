@@ -58,8 +58,7 @@ def placed(capture: Capture, fit: Fit) -> Capture:
 
 
 def named_views(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views, list[str]]:
-    """Names and views of a capture (:func:`placed` where it states none), or of ``builtin:grid``; and what
-    was noticed.
+    """Names and views of a capture (:func:`placed`) or of ``builtin:grid``; and what was noticed.
 
     Raises:
         CaptureError: the source is neither.

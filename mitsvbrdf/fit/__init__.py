@@ -63,8 +63,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
 @entry(gradients=True)
 def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint: Path,
              report: Callable[[dict, float], None] | None = None) -> None:
-    """The paper's first stage (III.F): train the generator on one picture and keep its weights in
-    ``checkpoint``.
+    """The paper's first stage (III.F): train the generator on one picture; keep its weights.
 
     Args:
         capture: its first photo is used.

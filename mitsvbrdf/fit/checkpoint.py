@@ -108,7 +108,8 @@ def load_module_state(name: str, module: torch.nn.Module, state: dict[str, Tenso
     module.load_state_dict(part(state, f"{name}."))
 
 
-def fingerprints(config: FitConfig, capture: Capture, renderer: str, fixed: Mapping[str, Tensor]) -> dict[str, str]:
+def fingerprints(config: FitConfig, capture: Capture, renderer: str,
+                 fixed: Mapping[str, Tensor]) -> dict[str, str]:
     """Fingerprints, by name, of everything that shapes a fit but its limits.
 
     Fixed maps count by their values: the same file name may stand for others later.

@@ -1,5 +1,4 @@
-"""How sure a fit is: the standard deviation of each texel's numbers, from the curvature of the photometric
-error.
+"""Standard deviation of each texel's numbers, from the curvature of the photometric error.
 
 What the photos say about one texel alone, in the model of the fit (Gauss-Newton, as in any nonlinear least
 squares): with J the derivative of its display values in all photos by its unknowns, s the noise, and a weak
@@ -51,8 +50,7 @@ CHORDS = 8  # times that deviations and the chords over them are found from each
 
 
 def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, task: FitTask) -> dict[str, Tensor]:
-    """Standard deviations of the maps that were fitted, by name: r x r x C (normal: x and y), r <= 64,
-    float32.
+    """Standard deviations of the fitted maps by name: r x r x C (normal: x and y), r <= 64, float32.
 
     Args:
         svbrdf: the fitted material.
@@ -98,8 +96,7 @@ def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, task: FitTask) -> d
 
 def _with_other_lobes(variance: Tensor, known: SVBRDF, numbers: Mapping[str, Tensor], views: Views,
                       transfer: color.Transfer, precision: Tensor) -> Tensor:
-    """Mean squares of how far each texel's unknowns may be from those found, r^2 x unknowns, other
-    roughnesses counted.
+    """Mean squared deviations of each texel's unknowns, r^2 x unknowns, with other roughnesses counted.
 
     Args:
         variance: around what was found, r^2 x unknowns.
@@ -156,8 +153,7 @@ def _columns(numbers: Mapping[str, Tensor]) -> Tensor:
 
 
 def confidence(spreads: Mapping[str, Tensor]) -> dict[str, dict[str, float]]:
-    """For each map ``median_sd``, over texels, and ``determined_share``: of texels whose deviation is below
-    0.1.
+    """For each map the median deviation, and the share of texels whose deviation is below 0.1.
 
     Args:
         spreads: of :func:`deviations`; a texel's deviation is the root mean square over its channels.
@@ -171,8 +167,7 @@ def confidence(spreads: Mapping[str, Tensor]) -> dict[str, dict[str, float]]:
 
 
 def jacobian(known: SVBRDF, numbers: Mapping[str, Tensor], views: Views, transfer: color.Transfer) -> Tensor:
-    """Slopes of each texel's display values by its own unknowns: r^2 x 3 N x unknowns, float64, central
-    differences.
+    """Slopes of each texel's display values by its unknowns: r^2 x 3 N x unknowns, float64.
 
     Args:
         known: the material, r x r, float64.

@@ -84,9 +84,7 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
 
 def _calibrated_rmse(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Renderer, offset: Tensor,
                      told: float | None) -> float | None:
-    """The error with stated views and what all photos share; None where the fit moved no view by itself, or
-    none is stated.
-    """
+    """The error with stated views and common changes; None where no single view moved or none is stated."""
     given = capture.views
     x, y = (offset[:2] / given.size).tolist()
     stated = replace(shift_lights(given, (x, y)), intensity=given.intensity * (told or 1.0))
@@ -138,8 +136,7 @@ def _together(deviations: list[Tensor]) -> list:
 
 
 def about_views(calibration: Mapping) -> str:
-    """Where the views of a fit come from and how sure they are, in a sentence or two; empty of fits that do
-    not say.
+    """Where the views of a fit come from and how sure they are, in words; empty where it is unknown.
 
     Args:
         calibration: see :func:`views_record`.

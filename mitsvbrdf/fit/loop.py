@@ -115,8 +115,7 @@ class Loop:
         self._record(seen, {})
 
     def _advance(self, good: dict[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, float]]:
-        """One step, taken back where it or the photos rendered after it are not finite, or where the fit
-        diverges.
+        """One step, taken back where its result is not finite or the fit diverges.
 
         Args:
             good: a sound state to go back to; the present one where a measurement was just made.

@@ -26,8 +26,7 @@ ABOUT = {"diffuse": ("diffuse", "base_color", "metallic"), "smooth": ("specular"
 
 
 def unused(weights: Mapping[str, float], bsdf: Bsdf, fixed: Collection[str]) -> dict[str, str]:
-    """The method's losses that a fit does not compute, and why: their weight is 0, or the maps they speak
-    about are fixed.
+    """The losses that a fit does not compute, and why: their weight is 0, or their maps are fixed.
 
     Args:
         weights: of the method's losses.
@@ -50,8 +49,7 @@ def weighted(terms: Mapping[str, Tensor], weights: Mapping[str, float]) -> Tenso
 
 
 def photometric(rendered: Tensor, photos: Tensor, transfer: color.Transfer) -> Tensor:
-    """Mean of |e| + 5 e^2 of the error e in display values; a clipped photo pixel only asks for at least its
-    value (ours).
+    """Mean of |e| + 5 e^2 of the error e in display values; a clipped pixel only asks for at least that.
 
     The absolute part is robust, the squared part keeps highlights, few and bright, from being given up.
     Measured on `cards-blue` at equal time, against the absolute part alone: photos seen 0.0369 -> 0.0342,
@@ -72,8 +70,7 @@ def diffuse(svbrdf: SVBRDF, guess: Tensor) -> Tensor:
 
 
 def total_variation(svbrdf: SVBRDF, edges: Tensor, fixed: Collection[str] = ()) -> Tensor:
-    """Mean absolute step of the specular/metallic and roughness maps, less where the guess itself has an edge
-    (ours).
+    """Mean absolute step of specular/metallic and roughness, less where the guess has an edge (ours).
 
     Args:
         fixed: names of the fixed maps, which are not counted.
@@ -121,8 +118,7 @@ def discriminator(real: Tensor, fake: Tensor, game: Game = "bce") -> Tensor:
 
 
 def adversarial(real: Tensor, fake: Tensor, game: Game = "bce") -> Tensor:
-    """What the generator minimises; ``bce`` is -log of the probability that its rendering is a photo
-    (non-saturating form).
+    """What the generator minimises; ``bce`` is -log of the probability of a photo (non-saturating).
 
     Args:
         real: logits of photos, which only ``relativistic`` looks at.

@@ -150,8 +150,7 @@ class Fit:
 
     @cached_property
     def deviations(self) -> Mapping[str, Tensor]:
-        """Standard deviation (:mod:`mitsvbrdf.fit.confidence`) of each fitted map by name, r x r x C with r
-        <= 64.
+        """Standard deviation of each fitted map by name (:mod:`.confidence`), r x r x C, r <= 64.
 
         A folder keeps the root mean square over channels: C is 1 there.
         """

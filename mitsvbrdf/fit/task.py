@@ -22,8 +22,7 @@ Refined = Literal["never", "unless exact", "always"]
 
 @dataclass(frozen=True, eq=False)
 class FitTask(Generic[Config]):
-    """A capture to fit with a method's settings. What follows from them is found when first asked for, and
-    kept.
+    """A capture to fit with a method's settings. What follows from them is found on first use.
 
     Args:
         capture: photos and views.

@@ -1,6 +1,4 @@
-"""Views estimated from photos against those they were taken from, closed forms, and photos that tell
-nothing.
-"""
+"""Views estimated from photos against the true ones, and photos that tell nothing."""
 
 import json
 import math
@@ -45,9 +43,7 @@ def photos(material, views, noise=0.003):
 
 
 def compared(found, truth):
-    """Best common scale of ``found``, and what is left sideways and in depth, by photo, after it and one
-    lateral offset.
-    """
+    """Best common scale of ``found``, and what is left sideways and in depth, by photo."""
     found, truth = found.in_patch_sides().camera.numpy(), truth.in_patch_sides().camera.numpy()
     columns = np.concatenate((found[..., None], np.broadcast_to(np.eye(3)[:, :2], (*found.shape, 2))),
                              axis=-1)

@@ -1,6 +1,4 @@
-"""Refined views against the truth they were moved from, priors where nothing is seen, and differences of the
-cost.
-"""
+"""Refined views against the truth, priors where nothing is seen, and differences of the cost."""
 
 import json
 from dataclasses import replace

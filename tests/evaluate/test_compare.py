@@ -1,6 +1,4 @@
-"""The comparison of methods: figures that `evaluate` finds too, pictures of what was measured, one page
-without network.
-"""
+"""The comparison of methods: figures that `evaluate` finds too, and one page without network."""
 
 import base64
 import io
@@ -71,9 +69,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def shots(tmp_path_factory):
-    """Three photos of the inlay, whose flash stands 0.1 patch sides to the right of the camera; calibrated as
-    if it did not.
-    """
+    """Three photos of the inlay, whose flash stands 0.1 patch sides right of where it is stated."""
     views = GRID.pick([0, 1, 3])
     beside = replace(views, light=views.light + torch.tensor([0.1, 0.0, 0.0], dtype=torch.float64))
     capture = photos_of(make_material("inlay", SIDE), beside)
@@ -96,9 +92,7 @@ def made_fit(folder, views, seen=(0, 1), **more):
 
 @pytest.fixture(scope="module")
 def compared(shots, tmp_path_factory):
-    """One run of the command: a fit that saw photos 00 and 01, and maps of another size with a hostile
-    name.
-    """
+    """One run of the command: a fit that saw photos 00 and 01, and maps with a hostile name."""
     folder = tmp_path_factory.mktemp("page")
     fit = made_fit(folder / "fit", shots[1])
     images.write_exr(fit / "guess" / "diffuse.exr", torch.tensor([1.0, 0.0, 0.0]).expand(SIDE, SIDE, 3))

@@ -19,9 +19,8 @@ RECORD = {"schema_version": 1, "method": "direct", "renderer": "analytic", "vari
                 "notes": []},
     "views": {"size": 1.0, "falloff": "inverse-square", "camera": [[0, 0, 2]], "light": [[0, 0, 2]],
               "intensity": [[1, 1, 1]]},
-    "flash_offset": {"x": 0.1, "y": 0.0, "unit": "patch sides"}, "calibration": {"from": "given",
-                                                                                 "estimated": False,
-                                                                                   "refined": False, "power_told": None},
+    "flash_offset": {"x": 0.1, "y": 0.0, "unit": "patch sides"},
+    "calibration": {"from": "given", "estimated": False, "refined": False, "power_told": None},
     "versions": {}, "machine": {}, "trace": [{"seconds": 1.0, "iteration": 1, "rerender_rmse": 0.1}]}
 OTHERS = (None, True, -1, 1.5, 10**400, "x", [], [1], ["x"], {}, {"a": None}, ...)
 
@@ -35,8 +34,8 @@ def folder(tmp_path_factory):
 
 def places(value, where=()):
     yield where
-    for key, part in value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value,
-                                                                                                  list) else ():
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, part in items:
         yield from places(part, (*where, key))
 
 

@@ -1,5 +1,4 @@
-"""Plausible detail: one random draw of what no photo shows, for pictures; the solved maps stay, for
-validation.
+"""Plausible detail: one random draw of what no photo shows, for pictures. The solved maps stay.
 
 Where no photo shows a highlight, the maps hold expected values, or what the solver was left with. A rendering
 under a new light shows it and does not look like a photo. A small generator starts at the solved maps and

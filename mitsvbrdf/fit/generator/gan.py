@@ -1,5 +1,4 @@
-"""``gan``: the paper's method. A generator proposes maps; their rendering has to pass for the photo of the
-same view (adversarial loss), and the diffuse map has to look like the guessed one (diffuse loss).
+"""``gan``, the paper's method: renderings of the generated maps have to pass for the photos.
 
 The paper's presets and ours are the same code; each ingredient is a setting of
 :class:`mitsvbrdf.fit.GanConfig`. What the paper leaves open, and what is done here: the encoder moves with

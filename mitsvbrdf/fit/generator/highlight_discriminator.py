@@ -11,8 +11,7 @@ DIRECTIONS = 64
 
 
 class HighlightDiscriminator(nn.Module):
-    """A patch discriminator whose first layer has no norm, so that levels get through; instance norm in the
-    next two.
+    """A patch discriminator; its first layer has no norm, so it sees levels, the next two instance norm.
 
     Args:
         inputs: channels: of a picture, and of what it is judged in view of.
@@ -28,16 +27,13 @@ class HighlightDiscriminator(nn.Module):
             nn.Conv2d(4 * w, 1, 3, padding=1))
 
     def forward(self, pictures: Tensor) -> Tensor:
-        """Logits N x 1 x h x w, one for each patch, of N x inputs x H x W; they mean something beside others
-        alone.
-        """
+        """Logits N x 1 x h x w, one for each patch, of N x inputs x H x W; only differences count."""
         return self.layers(pictures)
 
 
 def patch_distance(rendered: Tensor, photos: Tensor, angle: Tensor, random: torch.Generator,
                    bins: int = 3) -> Tensor:
-    """Sliced Wasserstein-1 distance of the patches of pairs of pictures, among patches of like half-vector
-    angle.
+    """Sliced Wasserstein-1 distance of patches of paired pictures, among patches of like half-vector angle.
 
     Args:
         rendered: N x H x W x 3, H and W at least :data:`PATCH`.

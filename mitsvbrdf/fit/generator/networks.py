@@ -32,8 +32,7 @@ def block(layer: nn.Conv2d | nn.ConvTranspose2d, normalise: bool = True) -> nn.S
 
 
 class TwoStreamGenerator(nn.Module):
-    """The paper's generator (III.D): one encoder, two decoders, so that normals are not mistaken for diffuse
-    features.
+    """The paper's generator (III.D): one encoder; two decoders keep normals and diffuse features apart.
 
     Encoder: 5 convolutions (three of them halve the size). Decoder ``normal_roughness``: 1 convolution and 3
     deconvolutions; decoder ``diffuse_specular``: 3 deconvolutions. All but the last are followed by instance
@@ -93,8 +92,7 @@ class TwoStreamGenerator(nn.Module):
 
 
 class PatchDiscriminator(nn.Module):
-    """The paper's discriminator (III.D): 5 convolutions, the first four with instance norm and leaky ReLU,
-    then Sigmoid.
+    """The paper's discriminator (III.D): 5 convolutions, four with instance norm and leaky ReLU; Sigmoid.
 
     Args:
         width: channels of the first convolution.
@@ -138,8 +136,7 @@ class PatchDiscriminator(nn.Module):
 
 
 class AllPhotosGenerator(nn.Module):
-    """The hybrid's generator: an encoder over all photos at once, two decoders with skips, a change to a
-    start out.
+    """The hybrid's generator: an encoder over all photos, two decoders with skips, a change to a start.
 
     The maps are ``start + change`` before Tanh; the last layers begin at zero, so training begins at the
     start.
@@ -201,9 +198,7 @@ def zero(layers: Iterable[nn.Module]) -> None:
 
 
 def pad_to_multiple(image: Tensor, factor: int) -> Tensor:
-    """The image grown at the bottom and right, by repeating its border, to a multiple of ``factor``, at least
-    twice it (instance norm needs more than one value a channel at the coarsest level).
-    """
+    """The image grown to a multiple of ``factor``, at least twice it (instance norm), by its border."""
     bottom, right = (max(-(-side // factor), 2) * factor - side for side in image.shape[-2:])
     return F.pad(image, (0, right, 0, bottom), mode="replicate")
 

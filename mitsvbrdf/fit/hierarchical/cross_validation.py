@@ -42,8 +42,7 @@ def steps_of_turns(count: int) -> int:
 
 def prediction_errors(photos: Observations, solver: TexelSolver, prior: TexelPrior,
                       starts: Mapping[int, TexelEstimate], noises: Sequence[float]) -> Tensor:
-    """Mean squared error of some photos' display values, each predicted from all others: one row for each
-    noise.
+    """Mean squared errors of photos' display values, each predicted from all others: a row for each noise.
 
     Args:
         photos: N photos; their own noise does not matter, the ratio of ``robust`` to it stays.
@@ -67,8 +66,7 @@ def prediction_errors(photos: Observations, solver: TexelSolver, prior: TexelPri
 
 
 def least_as_good(errors: Tensor) -> int:
-    """The first row of which the mean is within one standard error of the lowest: of its differences, column
-    by column.
+    """The first row whose mean is within one standard error of the lowest, of differences by column.
 
     Args:
         errors: rows to choose from x columns to compare them in, at least 2.

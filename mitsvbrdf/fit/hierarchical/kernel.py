@@ -30,8 +30,7 @@ STILL = 1e-4
 
 
 class Kernel:
-    """Cost, normal equations and steps of every texel, traced once for a material's unknowns and a kind of
-    scene.
+    """Cost, normal equations and steps of every texel, traced once for a kind of material and scene.
 
     :attr:`steps`, :attr:`posterior` and :attr:`equations` stand behind the methods of
     :class:`~mitsvbrdf.fit.hierarchical.solver.TexelSolver`. Their ``problem`` has the Dr.Jit arrays

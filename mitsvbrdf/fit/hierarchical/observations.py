@@ -73,8 +73,7 @@ def trust(views: Views, roughness: Tensor, reach: float) -> Tensor:
 
 
 def without_burn_in(planes: Tensor, views: Views, trusted: Tensor) -> Tensor:
-    """Maps S x R x R with a weaker cubic trend along the coverage angle, at the level of where the highlights
-    were.
+    """Maps S x R x R with a weaker cubic trend along the coverage angle, at the highlights' level.
 
     A material knows nothing of where the camera stood; a map that follows it was taught by what the model
     lacks. As much of the trend stays as explains a share :data:`CHANCE` of a map's variance: that may be the

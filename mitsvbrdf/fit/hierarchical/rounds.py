@@ -1,23 +1,17 @@
 """``hierarchical``, the default: every texel solved by itself, tied to the texels that look like it.
 
-A texel has nine unknowns and some nine grey values, so on its own it explains its photos by whatever fits:
+A texel has nine unknowns and some nine grey values. On its own it explains its photos by whatever fits:
 unseen highlights stay open, and errors of the model are burnt in. Three steps, in turns, mend that:
 
-1. Levenberg-Marquardt through Mitsuba's BSDF solves the unknowns of each texel, all texels in one kernel
-   (:mod:`.solver`). A neighbour's estimate with a lower cost becomes a start (:mod:`.starts`; PatchMatch, Barnes
-   et al. 2009).
+1. Levenberg-Marquardt through Mitsuba's BSDF solves the unknowns of each texel (:mod:`.solver`). A
+   neighbour's better estimate becomes a start (:mod:`.starts`; PatchMatch, Barnes et al. 2009).
 2. Texels that look alike share specular and roughness (:mod:`.sharing`).
 3. Camera and flash are refined with the maps so far (:mod:`.view_corrections`).
 
-Simulated photos follow the model exactly, real photos do not. The fit first lets every texel explain its photos
-freely; what stays unexplained tells the two apart (:mod:`.stages`). Real photos are first explained at 64 px,
-where texels must agree. At full size each texel may leave that estimate by as much as the photos ask for
-(:mod:`.texel_prior`), and photos are trusted as far as each is predicted from the others
-(:mod:`.cross_validation`).
-
-Texels that share a wrong roughness hold each other in it. Simulated photos are therefore explained from three
-starts with lobes of different width; the most probable estimate is refined at full size. Where they need no lobe
-(:mod:`.specular_test`), the rest is refined without one.
+What a first free fit leaves unexplained tells simulated photos from real ones (:mod:`.stages`). Real photos
+are explained at 64 px, where texels must agree. At full size each texel may leave that estimate as far as the
+photos ask for (:mod:`.texel_prior`, :mod:`.cross_validation`). Simulated photos are explained from three
+starts with lobes of different width, and without a lobe where none is needed (:mod:`.specular_test`).
 """
 
 from __future__ import annotations
@@ -151,8 +145,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         return without_lobe(self.search)
 
     def _at_full_size(self, learn: bool = False) -> tuple[Scale, TexelEstimate]:
-        """The present answer enlarged; texels that were tied are free there, and their look-alikes are asked
-        no more.
+        """The present answer enlarged; tied texels are free there.
 
         Args:
             learn: learn first how far photos of a phone are to be believed there.

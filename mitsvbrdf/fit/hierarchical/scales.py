@@ -51,8 +51,7 @@ class Scale:
 
 
 class Scales:
-    """Photos at full size, and coarse ones of two kinds: every k-th pixel, as exact as the photos are, and
-    area averages.
+    """Photos at full size, and two kinds of coarse ones: every k-th pixel, and area averages.
 
     Args:
         capture: the photos at full size.

@@ -1,5 +1,4 @@
-"""Evidence shared between texels that look alike: the prior of one texel is what the others say (empirical
-Bayes).
+"""Evidence shared by texels that look alike: a texel's prior is what the others say (empirical Bayes).
 
 A texel whose highlight no photo caught knows nothing of its specular level and roughness; texels of the same
 stuff do. The model is hierarchical: the number of a texel is that of its basis materials plus a deviation of
@@ -90,8 +89,7 @@ def basis_materials(appearance: Tensor, count: int, seed: int) -> Tensor:
 
 
 def membership(appearance: Tensor, basis: Tensor, width: float) -> Tensor:
-    """How much of each basis material a texel is, M x K, rows that sum to 1: normal kernels of this standard
-    deviation.
+    """Share of each basis material in each texel, M x K, rows sum to 1: normal kernels of this deviation.
 
     Args:
         appearance: of M texels, M x 5.
@@ -102,9 +100,7 @@ def membership(appearance: Tensor, basis: Tensor, width: float) -> Tensor:
 
 
 class Shared(NamedTuple):
-    """What texels share: ``mean`` S x M of each number, the deviation ``tau`` S x M from it, and its
-    ``spread`` S over all.
-    """
+    """``mean`` S x M of each number, deviation ``tau`` S x M from it, and its ``spread`` S over all."""
 
     mean: Tensor
     tau: Tensor

@@ -164,8 +164,7 @@ class TexelSolver:
         return Solved(moved, damping, data, prior)
 
     def variances(self, observations: Observations, x: Tensor, precision: Tensor) -> Tensor:
-        """The diagonal of (J^T W J + precision)^-1 at x, U x R x R float32: the unknowns' variances, given
-        the photos.
+        """The unknowns' variances given the photos: the diagonal of (J^T W J + precision)^-1, U x R x R.
 
         Args:
             observations: the photos.

@@ -1,5 +1,4 @@
-"""Whether a material is matte, so that nothing need be searched for a specular lobe: decided by photos that
-follow the model.
+"""Whether a material is matte and needs no specular lobe, decided by photos that follow the model.
 
 They are explained without a lobe, every texel to the end, and two things are asked.
 
@@ -92,8 +91,7 @@ def _lobe(specular: float, roughness: float, side: int) -> dict[str, Tensor]:
 def explained_without(
         answer: TexelEstimate, search: Search, lobeless: Search, noise: Tensor,
         observations: Callable[[Scale, TexelEstimate], Observations]) -> tuple[Scale, TexelEstimate] | None:
-    """The answer without a lobe at full size and its scale; None where the photos, coarse or in full, may
-    need one.
+    """The answer without a lobe at full size and its scale; None where the photos may need a lobe.
 
     Args:
         answer: of the first stage, with lobes.
@@ -126,8 +124,7 @@ def explained_without(
 
 def least_errors(solver: TexelSolver, photos: Observations, prior: TexelPrior, starts: list[Tensor],
                  rounds: int = 0, steps: int = STEPS) -> tuple[Tensor, Tensor]:
-    """The unknowns, U x R x R, that explain each texel's photos best with no prior, and their sum of squared
-    errors, R x R.
+    """The unknowns U x R x R that explain each texel's photos best, and their squared errors R x R.
 
     Args:
         solver: of the texels.
@@ -170,8 +167,7 @@ def blocks(*planes: Tensor) -> Iterator[list[Tensor]]:
 
 
 def needed(left: Tensor, less: Tensor, values: Tensor, few: int, many: int) -> bool:
-    """Whether further unknowns take more out of the squared errors of any block than noise explains, or
-    nobody can tell.
+    """Whether further unknowns lower a block's squared errors by more than noise explains, or none tells.
 
     Args:
         left: squared errors of each texel without them, R x R.

@@ -1,5 +1,4 @@
-"""The stages of the fit: which one it is in, for how many rounds, and what noise its photos are taken to
-have.
+"""The stages of the fit: the present one, its rounds, and the noise assumed of its photos.
 
 Photos of a simulation follow the model to the last digit, photos of a phone do not. What the first stage
 leaves unexplained tells which kind they are, and that decides which stages come next.
@@ -93,8 +92,7 @@ class Stages:
         return self.rounds >= ROUNDS[self.stage]
 
     def over(self, progress: float, short: bool = False) -> bool:
-        """Whether the stage ends before the round to come, at this share of the run or with the time left too
-        short for it.
+        """Whether the stage ends before the next round, at this share of the run or with too little time.
 
         What a round takes is not known before the second one.
         """

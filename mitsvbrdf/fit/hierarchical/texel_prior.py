@@ -43,8 +43,7 @@ class TexelEstimate(NamedTuple):
 
 
 class TexelPrior:
-    """How priors of texels are made: vague ones, those that look-alikes give, and those around an answer that
-    was tied.
+    """Priors of texels: vague ones, those that look-alikes give, and those around a tied answer.
 
     Args:
         unknowns: of a texel.
@@ -73,8 +72,7 @@ class TexelPrior:
 
     def share(self, answer: TexelEstimate, variance: Tensor, member: Tensor, photos: int, tied: bool,
               corrected: Callable[[Tensor], Tensor]) -> TexelEstimate:
-        """What look-alikes say becomes the prior of specular and roughness; the relief seen becomes that of
-        normals.
+        """Look-alikes set the prior of specular and roughness; the relief seen sets that of normals.
 
         Args:
             answer: with the prior so far.

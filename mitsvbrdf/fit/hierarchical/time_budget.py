@@ -1,5 +1,4 @@
-"""What the time left allows: a step is begun only where the steps made so far say that it can end within the
-budget.
+"""The time budget: a step begins only where the steps so far say that it ends within the budget.
 
 Work is counted in texels times steps of Levenberg-Marquardt, and what it takes is learned from the run
 itself, so that a slow machine does less and none is told how fast it is. Without a budget everything is
@@ -28,8 +27,7 @@ KINDS: tuple[Kind, ...] = ("solver", "views")
 
 
 class TimeBudget:
-    """The clock of a run, and the fewest seconds that a unit of each kind of work took: a first call also
-    makes a kernel.
+    """The clock of a run, and the fewest seconds a unit of each kind of work took (first calls compile).
 
     Args:
         budget: seconds that the run may take; None for no limit.

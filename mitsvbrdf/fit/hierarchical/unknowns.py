@@ -24,8 +24,7 @@ class Unknowns(Layout):
 
 
 class Column(NamedTuple):
-    """A slope that is taken: of a map, along one of a normal's two axes, and whose unknown it is for red,
-    green and blue.
+    """A slope: of a map, along one of a normal's two axes, and its unknown for red, green and blue.
 
     A channel of the radiance knows its own channel of a colour alone, so one forward pass serves all three.
     """

@@ -1,6 +1,4 @@
-"""Plausible detail leaves the maps alone, moves only what is unsure, and pairs photos with lights of the same
-half vectors.
-"""
+"""Plausible detail moves only what is unsure, and compares lights of the same half vectors."""
 
 import dataclasses
 import signal

@@ -1,6 +1,4 @@
-"""``gan``: where it starts, how it grows, what its discriminator sees, and that the game between the two
-finds maps.
-"""
+"""``gan``: where it starts, how it grows, what its discriminator sees."""
 
 import math
 
@@ -9,10 +7,8 @@ import torch
 import torch.nn.functional as F
 from helpers import ANALYTIC, MITSUBA, photos_of
 
-from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import FitTask, GanConfig, fit_svbrdf, gan_config, losses, make_method
 from mitsvbrdf.fit.generator import precision
-from mitsvbrdf.fit.generator.gan import frozen
 from mitsvbrdf.fit.generator.networks import PatchDiscriminator
 from mitsvbrdf.fit.generator.pictures import PictureSource
 from mitsvbrdf.fit.start import robust_start
@@ -79,9 +75,10 @@ def test_the_discriminators_weights_get_no_gradient_while_the_generator_learns(t
         return activations(image, told)
 
     monkeypatch.setattr(gan.discriminator, "activations", watched)
-    gan.step(0.0)
+    for _ in range(2):
+        gan.step(0.0)
     # it learns; the rendering is judged; the photo beside it
-    assert seen == [(False, True), (True, False), (False, False)]
+    assert seen == 2 * [(False, True), (True, False), (False, False)]
 
 
 def test_a_coarse_phase_has_64_texels_or_more():
@@ -203,13 +200,6 @@ def test_highlights_lie_where_the_angles_are_small(tiles):
         assert max(abs(a - b) for a, b in zip(bright, near)) <= 2 and off.min() >= 0
 
 
-def test_frozen_weights_get_no_gradient_and_thaw():
-    judge, image = PatchDiscriminator(4), torch.rand(1, 3, 32, 32, requires_grad=True)
-    with frozen(judge):
-        judge.activations(image)[-1].sum().backward()
-    assert image.grad.abs().sum() > 0 and all(p.grad is None and p.requires_grad for p in judge.parameters())
-
-
 def test_the_running_average_of_the_weights(tiles):
     gan = gan_of(tiles, average=0.5, decay=False)
     name = "up.0.0.0.weight"
@@ -268,11 +258,3 @@ def test_a_resumed_run_computes_as_it_began(began, tiles, monkeypatch):
             state = gan.state()
     gan.load_state(state)
     assert gan.bfloat16 == began
-
-
-@pytest.mark.parametrize("wrong, words", [({"average": 1.0}, "average below 1"), ({"crop": 4}, "crop of 16"),
-                                          ({"normal_roughness_steps": 5}, "two-stream"),
-                                          ({"pictures": 0}, "pictures > 0")])
-def test_settings_that_do_not_go_together_are_refused(wrong, words):
-    with pytest.raises(ConfigError, match=words):
-        GanConfig(**wrong).check()

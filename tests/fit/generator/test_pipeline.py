@@ -1,6 +1,4 @@
-"""Photos to maps through a generator, literally: every renderer gives its weights the same gradients, and the
-same fit.
-"""
+"""Every renderer gives a generator's weights the same gradients, and the same fit."""
 
 import statistics
 from dataclasses import replace

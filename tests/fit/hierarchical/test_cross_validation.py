@@ -1,6 +1,4 @@
-"""How far photos are believed at full size: predictions of photos left out against a float64 twin, and the
-choice.
-"""
+"""Predictions of held-out photos against a float64 twin, and the choice of the noise."""
 
 from dataclasses import replace
 

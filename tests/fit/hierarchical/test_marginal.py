@@ -19,9 +19,7 @@ ROUGH, SLOPE = torch.linspace(0.2, 0.6, 11).double(), torch.linspace(-0.2, 0.2, 
 
 @pytest.fixture(scope="module")
 def summed():
-    """Photos with noise, and the cost of every roughness and every pair of slopes on a grid: 11 x 33 x 33 x R
-    x R.
-    """
+    """Noisy photos, and the cost of roughnesses and pairs of slopes on a grid: 11 x 33 x 33 x R x R."""
     material = flat(SIDE, diffuse=0.1, specular=0.2, roughness=TRUE).to(torch.float64)
     noise = NOISE * torch.randn((len(VIEWS), SIDE, SIDE, 3), generator=torch.Generator().manual_seed(5),
                                 dtype=torch.float64)
@@ -41,9 +39,7 @@ def summed():
 
 
 def top(curve):
-    """Where a curve over ROUGH, 11 x R x R, is highest: the vertex of the parabola through the three highest
-    points.
-    """
+    """Where a curve over ROUGH, 11 x R x R, is highest: the vertex of a parabola."""
     at = curve.argmax(dim=0).clamp(1, len(ROUGH) - 2)
     below, middle, above = (curve.gather(0, (at + k)[None])[0] for k in (-1, 0, 1))
     return ROUGH[at] + 0.5 * (below - above) / (below - 2 * middle + above) * (ROUGH[1] - ROUGH[0])

@@ -15,9 +15,7 @@ FIRST, SECOND = slice(0, 50), slice(50, 100)
 
 
 def told(alone, sure, member=TWO, spread=0.1, prior=(0.5, 100.0), name="roughness", photos=0):
-    """Give texels whose photos alone say ``alone`` with precision ``sure``, solved under a prior (mean,
-    precision).
-    """
+    """Texels whose photos alone say ``alone`` with precision ``sure``, under a prior (mean, precision)."""
     alone, sure = (torch.as_tensor(v, dtype=torch.float32).expand(len(member)) for v in (alone, sure))
     mean, precision = (torch.full_like(alone, p) for p in prior)
     total = sure + precision
@@ -28,9 +26,7 @@ def told(alone, sure, member=TWO, spread=0.1, prior=(0.5, 100.0), name="roughnes
 
 
 def twin(alone, sure, member, tau2):
-    """The same by numpy in float64, from nothing but the definition: means, tau of each texel, and over
-    all.
-    """
+    """The same by numpy in float64, from the definition: means, tau of each texel, and over all."""
     alone, sure, member = (np.asarray(v, dtype=np.float64) for v in (alone, sure, member))
     share, tau2 = member / member.sum(axis=0), np.full(len(sure), tau2)
     for _ in range(ROUNDS):

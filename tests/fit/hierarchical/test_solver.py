@@ -1,6 +1,4 @@
-"""The solver of texels against a float64 twin made of the analytic renderer and torch's autograd, and on
-known materials.
-"""
+"""The solver of texels against a float64 twin of analytic renderer and autograd, and known materials."""
 
 from __future__ import annotations
 
@@ -29,9 +27,7 @@ HIGH = {name: 1.5 if name == "normal" else 1.0 for name in LOW}
 
 @dataclasses.dataclass
 class Case:
-    """A solver and what it is given; the photos are those of another material, so that errors are large and
-    some clipped.
-    """
+    """A solver and photos of another material: errors are large, some pixels clipped."""
 
     bsdf: str = "roughconductor"
     held: tuple[str, ...] = ()
@@ -206,9 +202,7 @@ def test_ends_at_a_minimum():
 
 @pytest.mark.parametrize("name", ["leather", "inlay"])
 def test_finds_known_maps(name):
-    """From photos of 8 bits, started from one colour, one roughness and flat normals, with a prior that says
-    little.
-    """
+    """From photos of 8 bits, a start of constants and flat normals, and a weak prior."""
     material, side = make_material(name, 32), 32
     solver = TexelSolver("roughconductor")
     truth = solver.numbers(material)
@@ -261,9 +255,7 @@ def test_what_is_not_finite_stays_in_its_texel():
 
 
 def test_traced_once(monkeypatch):
-    """Other numbers, views, steps and noise need no new trace; garbage waits while Dr.Jit records, or it
-    would abort.
-    """
+    """Other numbers, views, steps and noise need no new trace; garbage waits while Dr.Jit records."""
     case = CASES["all free"]()
     collecting = []
     encode = kernel.traced_encode

@@ -1,6 +1,4 @@
-"""Matte materials are told by their photos, and then fitted without a lobe; where a lobe may be, the search
-goes on.
-"""
+"""Matte materials are told by their photos, and then fitted without a lobe."""
 
 from dataclasses import replace
 

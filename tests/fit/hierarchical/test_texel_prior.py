@@ -21,9 +21,7 @@ from mitsvbrdf.views import Views, coverage_angle, texel_positions
 
 
 def striped():
-    """Two paints in stripes, and photos whose highlights all lie over the left part: none reaches the right
-    columns.
-    """
+    """Two paints in stripes; the photos' highlights all lie left, none reaches the right columns."""
     stripe = ((torch.arange(SIDE) // 4) % 2 == 0).float()[:, None, None].expand(SIDE, SIDE, 1)
     truth = SVBRDF("roughconductor", {
         "diffuse": stripe * torch.tensor([0.4, 0.1, 0.05]) + (1 - stripe) * torch.tensor([0.05, 0.1, 0.4]),
@@ -36,9 +34,7 @@ def striped():
 
 @pytest.fixture
 def unseen_errors(kind, monkeypatch):
-    """A function that fits: errors, by stripe, of encoded specular and of roughness where no photo shows the
-    highlight.
-    """
+    """A function that fits: errors by stripe of specular and roughness where no highlight shows."""
     if kind == "phone":
         monkeypatch.setattr(stages, "EXACT", 0.0)
     stripe, truth, shots = striped()
@@ -149,9 +145,7 @@ def deviations_of(method, answer):
 @pytest.mark.parametrize("went, normal, specular", [(0.0, 0.05, 0.06), (0.05, 0.07071, 0.07071),
                                                     (0.5, 0.15, 0.15)])
 def test_texels_may_go_as_far_as_they_went(went, normal, specular, capture):
-    """Deviations around the prior: root mean square of the distance gone and of what is left unknown, within
-    its bounds.
-    """
+    """Deviations: root mean square of the distance gone and of what is left unknown, within bounds."""
     method = method_of(capture, detail_spread=0.06)
     free, unknown = method.prior.free(method.answer), 0.05
     sign = torch.where(torch.rand(free.x.shape, generator=torch.Generator().manual_seed(1)) < 0.5, -1.0, 1.0)
