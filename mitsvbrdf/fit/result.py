@@ -36,9 +36,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit:
-    """A fit, the same in memory and read back from its folder: what ``fit.json`` says, and arrays.
+    """A fit, in memory or from its folder: what ``fit.json`` says, and arrays, read on first use.
 
-    Arrays of a fit in a folder are read on first use. Maps that came without a fit have an empty record.
+    Maps that came without a fit have an empty record.
 
     Args:
         record: what ``fit.json`` holds; docs/formats.md explains each field.
@@ -85,8 +85,7 @@ class Fit:
         """
         folder = Path(folder)
         if not (folder / FILE).is_file():
-            raise MapsError("a folder that `mitsvbrdf fit` wrote", f"{folder}, which has no {FILE}",
-                            "give the OUT of a fit")
+            raise MapsError("the OUT of `mitsvbrdf fit`", f"{folder}, which has no {FILE}", "check the path")
         fit = _read(folder)
         if wrong := missing(fit.record):
             raise MapsError(f"a {FILE} of schema version {SCHEMA_VERSION}", f"{folder / FILE}: {wrong}",
@@ -128,8 +127,8 @@ class Fit:
     def detail(self) -> SVBRDF | None:
         """One plausible draw of what no photo shows, for pictures; None where none was asked for."""
         folder = self.path / (DETAIL if (self.path / DETAIL).is_dir() else FORMER_DETAIL)
-        return self._or("detail", lambda: load_maps(folder, self.record["bsdf"]) if "detail" in self.record
-                        else None)
+        drawn = "detail" in self.record
+        return self._or("detail", lambda: load_maps(folder, self.record["bsdf"]) if drawn else None)
 
     @cached_property
     def guess(self) -> Tensor:
@@ -139,24 +138,23 @@ class Fit:
     @cached_property
     def photos(self) -> Tensor:
         """The photos used, N x R x R x 3 in display values; in a folder, of 8 bits."""
-        return self._or("photos",
-                        lambda: torch.stack([self._image(f"photos/{name}.png") for name in self.names]))
+        return self._images("photos", "png")
 
     @cached_property
     def rerendered(self) -> Tensor:
         """Linear radiance N x R x R x 3 of the photos used."""
-        return self._or("rerendered", lambda: torch.stack([self._image(f"rerendered/{name}.exr")
-                                                           for name in self.names]))
+        return self._images("rerendered", "exr")
 
     @cached_property
     def deviations(self) -> Mapping[str, Tensor]:
-        """Standard deviation of each fitted map by name (:mod:`.confidence`), r x r x C, r <= 64.
-
-        A folder keeps the root mean square over channels: C is 1 there.
-        """
+        """Standard deviation of each fitted map by name, r x r x C, r <= 64; in a folder C is 1 (RMS)."""
         return self._or("deviations", lambda: {
             name: self._image(f"uncertainty/{name}.exr")[..., :1] for name in self.record["confidence"]
             if (self.path / f"uncertainty/{name}.exr").is_file()})
+
+    def _images(self, of: str, suffix: str) -> Tensor:
+        names = [f"{of}/{name}.{suffix}" for name in self.names] if of not in self.known else []
+        return self._or(of, lambda: torch.stack([self._image(name) for name in names]))
 
     def _image(self, name: str) -> Tensor:
         return images.read_image(self.path / name, MapsError)
@@ -164,8 +162,7 @@ class Fit:
     @cached_property
     def config(self) -> FitConfig:
         """The method and its settings."""
-        return self._or("config",
-                        lambda: config_of({"method": self.record["method"], **self.record["config"]}))
+        return self._or("config", lambda: config_of({"method": self.method, **self.record["config"]}))
 
     def engine(self) -> Renderer | None:
         """The renderer of the fit; None for one that is not ours."""
@@ -180,8 +177,8 @@ class Fit:
     @property
     def omitted(self) -> tuple[Omitted, ...]:
         """What the scene or the method did not need."""
-        return self._or("omitted", lambda: tuple(Omitted(each["what"], each["why"])
-                                                 for each in self.record["omitted"]))
+        told = self.record.get("omitted", ())
+        return self._or("omitted", lambda: tuple(Omitted(each["what"], each["why"]) for each in told))
 
     @property
     def used(self) -> tuple[tuple[str, str], ...]:
@@ -247,8 +244,8 @@ class Fit:
     @property
     def falloff(self) -> Falloff:
         """Falloff of its light; inverse-square when unknown."""
-        return self._or("falloff", lambda: self.record["views"]["falloff"] if self.record
-                        else "inverse-square")
+        return self._or("falloff",
+                        lambda: self.record["views"]["falloff"] if self.record else "inverse-square")
 
     @property
     def flash_offset(self) -> tuple[float, float] | None:
@@ -263,7 +260,7 @@ class Fit:
 
     @property
     def light_power_factor(self) -> float:
-        """Factor by which the maps changed the light power that the capture states."""
+        """Factor by which the maps changed the stated light power."""
         return float(self.calibration.get("power_told") or 1.0)
 
     @property
