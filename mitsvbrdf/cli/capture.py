@@ -35,7 +35,7 @@ def capture(photos: Annotated[Positional[Path], arg(
             resolution: Annotated[int, arg(
                 help="Largest side of the rectified photos. Photos are never enlarged.")] = 1024,
             reference: Annotated[Literal["best", "first"], arg(help=(
-                "Photo that says what is up, without a sheet. best: the one taken most from above."))] = "best",
+                "Photo that says what is up, without a sheet. best: that from most above."))] = "best",
             overwrite: Overwrite = False, strict: Strict = False) -> int:
     """Make a capture of raw photos for `mitsvbrdf fit`: find the poses, rectify, reject bad photos.
 
