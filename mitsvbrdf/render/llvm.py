@@ -88,11 +88,6 @@ def use_llvm() -> LLVM:
                        f"install one: {install_hint()} (the renderer 'analytic' needs none)")
 
 
-def find_llvm() -> LLVM | None:
-    """The first libLLVM that is proved to work, or None; changes nothing."""
-    return next((llvm for llvm in examine() if llvm.proved), None)
-
-
 def examine() -> Iterator[LLVM]:
     """The verdict on each libLLVM in order of preference; on the user's alone where the variable is set."""
     if os.environ.get(VARIABLE):

@@ -37,6 +37,11 @@ def no_drjit_yet(monkeypatch):
     monkeypatch.delitem(sys.modules, "drjit", raising=False)
 
 
+def proved_here():
+    """The first libLLVM that is proved to work, or None."""
+    return next((each for each in llvm.examine() if each.proved), None)
+
+
 def python(code: str, **environment: str) -> subprocess.CompletedProcess[str]:
     """A fresh interpreter; a variable given as "" is removed."""
     variables = {name: value for name, value in (os.environ | environment).items() if value}
@@ -65,7 +70,7 @@ def test_a_text_file_is_no_library(searched):
     (searched / "libLLVM-19.so").write_text("not a library")
     (verdict,) = llvm.examine()
     assert not verdict.proved and "libLLVM-19.so" in verdict.message
-    assert llvm.find_llvm() is None
+    assert proved_here() is None
 
 
 def test_an_old_version_is_refused_without_a_trial(searched, monkeypatch):
@@ -138,7 +143,7 @@ def test_a_fresh_process_gets_a_proved_library_and_the_variant():
 
 
 def test_a_drjit_imported_before_is_not_fought():
-    found = llvm.find_llvm()
+    found = proved_here()
     child = python("import os, drjit; from mitsvbrdf.render.llvm import use_llvm; llvm = use_llvm()\n"
                    "print(llvm.proved, llvm.path, llvm.version)", DRJIT_LIBLLVM_PATH=found.path)
     assert child.stdout.split() == ["True", found.path, found.version], child.stderr
@@ -194,7 +199,7 @@ def test_a_bad_answer_is_tried_again(searched, monkeypatch):
 
 def test_wrong_numbers_are_no_proof(monkeypatch):
     """The trial compares: with one number changed, the library that works is refused."""
-    path = llvm.find_llvm().path
+    path = proved_here().path
     monkeypatch.setattr(llvm, "PROOF", llvm.PROOF.replace("31.5) for", "30.5) for"))
     monkeypatch.setenv("XDG_CACHE_HOME", "/dev/null")
     verdict = llvm.prove(path)
