@@ -80,7 +80,7 @@ def test_another_shape_is_told(accepted):
 def test_update_where_nothing_can_be_written_says_so(suite):
     suite.golden.parent.write_text("a file where the folder should be")
     said = suite.run("--mitsvbrdf-update", failed=3)
-    assert "OutputError: expected to write" in said and "wrote" not in said
+    assert "OutputError: expected to write" in said and "mitsvbrdf: wrote" not in said
     assert [p.name for p in suite.folder.iterdir() if "golden" in p.name] == ["golden"]
 
 
