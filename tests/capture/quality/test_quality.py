@@ -56,9 +56,10 @@ def test_nothing_is_wrong_with_photos_of_made_materials(material):
                                   "plastic-red-carton", "rubber-pattern", "stone-smalltile",
                                   "stone-spec-shiny", SOFTEST, "wood-bamboo", "wood-knotty"])
 def test_nothing_is_wrong_with_real_photos(name, data_folder):
-    """At 128 pixels, too, the softest has 0.37 of the others' sharpness; at 512 it has 0.57."""
-    shots = read_capture(data_folder / "captures" / name, resolution=128 if name == SOFTEST else 512)
-    assert judged(shots, shots.photos)[0] == {}
+    """The softest has 0.57 of the others' sharpness, and 0.37 at 128 pixels."""
+    for resolution in (512, 128) if name == SOFTEST else (512,):
+        shots = read_capture(data_folder / "captures" / name, resolution=resolution)
+        assert judged(shots, shots.photos)[0] == {}
 
 
 def test_real_light_is_not_called_even(data_folder):
