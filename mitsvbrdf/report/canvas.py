@@ -42,9 +42,7 @@ class Canvas:
                          parse_math=False, **how)
 
     def image(self, x: int, y: int, side: int, image: Tensor) -> None:
-        """Place a picture, H x W x 3 or x 1 display values, into the square of this side whose top left
-        corner is (x, y).
-        """
+        """Place a picture, H x W x 3 or x 1 display values, into the square with top left corner (x, y)."""
         pixels = color.clip(image.detach().cpu().float()).numpy()
         # without axes, each of which takes 20 ms
         square = Bbox.from_bounds(x, self.height - y - side, side, side)

@@ -1,6 +1,4 @@
-"""How good a capture is: its numbers as JSON, a page that shows them, and a contact sheet. They compute
-none.
-"""
+"""How good a capture is: its numbers as JSON, a page of them, and a contact sheet."""
 
 from __future__ import annotations
 
@@ -115,9 +113,7 @@ def _plan(result: CaptureResult) -> dict:
 
 def _contact_sheet(path: Path, result: CaptureResult, record: dict,
                    rejected: dict[str, Tensor | None]) -> None:
-    """Rectified photos with their numbers and a dot below each camera, then the rejected ones with the
-    reason.
-    """
+    """Rectified photos with numbers and a dot below each camera; then the rejected ones with the reason."""
     large = (SHEET_WIDTH - 2 * SHEET_MARGIN - (A_ROW - 1) * PICTURE_GAP) // A_ROW
     small = (SHEET_WIDTH - 2 * SHEET_MARGIN - (SMALL_A_ROW - 1) * PICTURE_GAP) // SMALL_A_ROW
     header, reason_height = 96, 112

@@ -32,9 +32,8 @@ Report = Callable[[str, float], object]
 
 
 def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names: Sequence[str],
-               transfer: color.Transfer,
-               fixed: Sequence[str] = (), grey_specular: bool = False, quick: bool = False,
-               report: Report = lambda text, share: None) -> dict:
+               transfer: color.Transfer, fixed: Sequence[str] = (), grey_specular: bool = False,
+               quick: bool = False, report: Report = lambda text, share: None) -> dict:
     """Measure renderers on fitted maps, in the views of the fit.
 
     Args:
@@ -65,8 +64,8 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
             for name, t in svbrdf.maps.items()}
     checked = None if not engines else crosscheck(
         {"fit": svbrdf.resized(side)}, shown, [svbrdf.bsdf], engines, 1 if quick else 5,
-        names=[names[k] for k in chosen],
-        transfer=transfer, report=lambda text, share: report("renderers against float64", 0.7 * share))
+        names=[names[k] for k in chosen], transfer=transfer,
+        report=lambda text, share: report("renderers against float64", 0.7 * share))
     saved = None if quick or renderer is None else _saved(
         svbrdf.resized(side), shown, renderer, fixed, grey_specular,
         lambda share: report("what was saved", 0.7 + 0.3 * share))

@@ -19,8 +19,7 @@ MAPS = ("diffuse", "specular", "roughness", "normal")
 
 def write_compare_page(path: str | Path, record: dict, entries: Sequence[Entry], capture: Capture,
                        pictures: Sequence[Tensor], guess: Tensor, reference: SVBRDF | None = None) -> None:
-    """One self-contained HTML file: the input, the maps of each method, errors, and each photo beside its
-    re-renderings.
+    """Write one HTML file: the photos, the maps of each method, errors, and re-renderings beside photos.
 
     Args:
         path: the file to write or replace.
@@ -44,8 +43,8 @@ def write_compare_page(path: str | Path, record: dict, entries: Sequence[Entry],
         rows.append({"name": entry.name, "note": f"{entry.folder}{size}; {method['views']}{light}",
                      "maps": _maps(entry.svbrdf, side) + own})
     photos = [{"name": name, "photo": png_uri(at_most(photo, LARGEST)),
-               "rendered": [(method, png_uri(at_most(images[i], LARGEST))) for method, images in zip(methods,
-                                                                                                     pictures)]}
+               "rendered": [(method, png_uri(at_most(images[i], LARGEST)))
+                            for method, images in zip(methods, pictures)]}
               for i, (name, photo) in enumerate(zip(record["photos"], capture.photos))]
     title = f"{record['capture'] or 'Capture'}: {', '.join(m['name'] for m in methods)}"
     write_page(path, "report/compare.html", title=title, record=record, rows=rows, photos=photos,
@@ -62,9 +61,7 @@ def _uri(name: str, value: Tensor) -> str:
 
 
 def _table(record: dict) -> list[dict]:
-    """Groups of rows: what was measured, its value for each method, and whether the values were counted
-    alike.
-    """
+    """Groups of rows: what was measured, its value for each method, and the best where all compare."""
     methods, groups = record["methods"], []
 
     def row(name: str, values: list[float | None], alike: bool = True) -> dict:

@@ -22,8 +22,8 @@ LEAST_SHOWN, MOST_SHOWN = 1e-8, 1e-4
 BSDF_MARKS = {"roughconductor": "o", "principled": "s"}
 
 
-def write_crosscheck_page(path: str | Path, record: dict, error_maps: Mapping[tuple[str, str, str],
-                                                                              Tensor]) -> None:
+def write_crosscheck_page(path: str | Path, record: dict,
+                          error_maps: Mapping[tuple[str, str, str], Tensor]) -> None:
     """One self-contained HTML file: figures, error against run time, error maps, worst texels.
 
     Args:
@@ -41,11 +41,10 @@ def write_crosscheck_page(path: str | Path, record: dict, error_maps: Mapping[tu
     materials = {name: [c for c in record["configurations"] if c["material"] == name]
                  for name in record["materials"]}
     write_page(path, "report/crosscheck.html", title="Renderers against float64", record=record,
-               materials=materials,
-               error_maps=maps, ramp=png_uri(error_picture(ramp, MOST_SHOWN, LEAST_SHOWN)),
-               darkest=LEAST_SHOWN,
-               brightest=MOST_SHOWN, plot=svg(error_against_time(record)), omitted=omitted(record),
-               converted=converted, cosine=_cosine, digits=_digits)
+               materials=materials, error_maps=maps,
+               ramp=png_uri(error_picture(ramp, MOST_SHOWN, LEAST_SHOWN)),
+               darkest=LEAST_SHOWN, brightest=MOST_SHOWN, plot=svg(error_against_time(record)),
+               omitted=omitted(record), converted=converted, cosine=_cosine, digits=_digits)
 
 
 def error_against_time(record: dict) -> Figure:
@@ -62,13 +61,12 @@ def error_against_time(record: dict) -> Figure:
     named = set()
     for c in record["configurations"]:
         texels, label = c["rough"] or c["smooth"], f"{c['renderer']}, {c['bsdf']}"
-        low, median, high = (sum(way[name] for way in c["seconds"].values()) for name in ("low", "median",
-                                                                                          "high"))
+        low, median, high = (sum(way[name] for way in c["seconds"].values())
+                             for name in ("low", "median", "high"))
         worst = max((g["relative_l2"] for g in texels["gradients"].values() if g["relative_l2"] is not None),
                     default=None)
-        look = {"fmt": BSDF_MARKS[c["bsdf"]], "color": colours[c["renderer"]], "markersize": 4,
-                "elinewidth": 0.8, "alpha": 0.8,
-                "markerfacecolor": None if c["rough"] else "none"}
+        look = {"fmt": BSDF_MARKS[c["bsdf"]], "color": colours[c["renderer"]], "markersize": 4, "alpha": 0.8,
+                "elinewidth": 0.8, "markerfacecolor": None if c["rough"] else "none"}
         for panel, error in zip(panels, (texels["image"]["mean"], worst)):
             if error:
                 panel.errorbar(median, error, xerr=[[max(median - low, 0)], [max(high - median, 0)]], **look,

@@ -1,6 +1,4 @@
-"""Curves on logarithmic axes as what an inline SVG needs: a template draws them in the colours of its page,
-light or dark.
-"""
+"""Curves on logarithmic axes, as numbers from which a template draws an inline SVG."""
 
 from __future__ import annotations
 
@@ -19,8 +17,7 @@ MOST_POINTS = 1000  # of a line; of a longer trace only every so many are shown
 def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
     """The named columns of a trace against its seconds, both logarithmic.
 
-    Points at 0 seconds and values that are not positive or not finite have no place on such axes and are left
-    out.
+    Logarithmic axes omit points at 0 seconds and values that are not positive or not finite.
 
     Args:
         trace: one dict a measurement, with ``seconds``.
@@ -67,9 +64,7 @@ def _positive(value: float | None) -> bool:
 
 
 class _Axis:
-    """Where a value lies between two places of the picture, on a logarithmic scale with a little room at both
-    ends.
-    """
+    """A logarithmic axis between two places of the picture, with a little room at both ends."""
 
     def __init__(self, values: Sequence[float], start: float, end: float) -> None:
         low, high = math.log10(min(values)), math.log10(max(values))
@@ -81,9 +76,7 @@ class _Axis:
         return round(self.start + share * (self.end - self.start), 1)
 
     def ticks(self) -> list[tuple[float, str]]:
-        """Powers of ten, at most about eight; where fewer than three lie on the axis, steps between them or
-        even ones.
-        """
+        """At most about eight powers of ten; finer or even steps where fewer than three lie on the axis."""
         decades = range(math.floor(self.low), math.ceil(self.high) + 1)
         every = math.ceil(len(decades) / 8)
         for steps in ((1,), (1, 2, 5)):

@@ -53,8 +53,7 @@ def write_detail_page(found: Fit, into: Path) -> str | None:
 
 
 def unseen_view(views: Views) -> Views:
-    """A view between those of the photos: half way between two of them, as far from every camera as that can
-    be.
+    """The view half way between two photos that is farthest from every camera.
 
     Args:
         views: of the photos.

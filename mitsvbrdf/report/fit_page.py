@@ -47,8 +47,8 @@ def check_apart(folder: Path, capture: Capture) -> None:
     """Raise OutputError for a folder where :func:`keep_photos` would replace the capture's own files."""
     source = capture.source and os.path.realpath(capture.source)
     if source in (os.path.realpath(folder), os.path.realpath(folder / "photos")):
-        raise OutputError("an output folder of its own", f"{folder}, where the capture's own photos would "
-                                                         "be replaced",
+        raise OutputError("an output folder of its own",
+                          f"{folder}, where the capture's own photos would be replaced",
                           "choose another folder")
 
 
@@ -65,8 +65,7 @@ def keep_photos(folder: Path, capture: Capture) -> None:
 
 def write_report(fit: Fit | str | Path, quick: bool = False, held_out: Capture | None = None,
                  report: Report = lambda text, share: None, into: Path | None = None) -> dict:
-    """Measure what a page shows beside ``fit.json``, and write ``report.json`` and ``report.html`` into a
-    fit's folder.
+    """Check a fit's renderers, and write ``report.json`` and ``report.html`` into its folder.
 
     Args:
         fit: the fit or its folder, with the photos it used in ``photos/`` where they are to be shown.
@@ -193,9 +192,7 @@ def _ramp() -> str:
 
 
 def _photo(photo: dict, side: int, found: Fit, *folders: Path) -> dict:
-    """Pictures of a photo, its re-rendering, and four times their difference; without the photo, the
-    re-rendering alone.
-    """
+    """Pictures of a photo, its re-rendering, and four times their difference, as far as files exist."""
     memory = {}
     if "photos" in found.known and photo["name"] in found.names:
         row, transfer = found.names.index(photo["name"]), found.record["capture"]["transfer"]

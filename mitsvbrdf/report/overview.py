@@ -9,15 +9,7 @@ from torch import Tensor
 
 from ..errors import CaptureError
 from ..material.maps import CHANNELS, SVBRDF, TITLES, shown_map
-from .canvas import (
-    HEADER_HEIGHT,
-    LABEL_HEIGHT,
-    PICTURE_GAP,
-    SHEET_MARGIN,
-    SHEET_WIDTH,
-    Canvas,
-    square_side,
-)
+from .canvas import HEADER_HEIGHT, LABEL_HEIGHT, PICTURE_GAP, SHEET_MARGIN, SHEET_WIDTH, Canvas, square_side
 from .colours import SHEET_ACCENT, SHEET_QUIET, SHEET_TEXT
 
 LARGEST_MAP, LARGEST_PHOTO = 397, 264  # pixels a side

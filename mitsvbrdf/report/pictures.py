@@ -17,9 +17,7 @@ from .. import color
 
 
 def magma(share: Tensor) -> Tensor:
-    """Shares 0 to 1 of any shape in the colours of matplotlib's ``magma``: the same shape x 3, display
-    values.
-    """
+    """Shares 0 to 1 of any shape as display values of matplotlib's ``magma``, of the same shape x 3."""
     import matplotlib
 
     return torch.as_tensor(matplotlib.colormaps["magma"](share.clamp(0, 1).numpy())[..., :3],

@@ -1,7 +1,6 @@
-"""The live viewer of a material: an HTML fragment that shades the maps in WebGL2 with the formulas of
-``render/analytic.py``.
+"""The live viewer of a material: an HTML fragment that shades its maps in WebGL2.
 
-A point light or the studio of previews lights them.
+Its formulas are those of ``render/analytic.py``. A point light or the studio of previews lights them.
 
 Maps travel as integers of 12 or 16 bits, high and low bytes apart, deflated, in base64. Eight bits would not
 do: a highlight of roughness 0.1 is 0.01 wide, as wide as 2.5 steps of an 8-bit normal map.
@@ -25,9 +24,9 @@ TOP_LEVELS = {"square": 4095, "plain": 65535, "octahedral": 65535}  # highest in
 
 
 def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
-    """The viewer as an HTML fragment, to be put once into a page that extends ``report/base.html``, marked
-    ``|safe``.
+    """The viewer as an HTML fragment, for one place of a page that extends ``report/base.html``.
 
+    The template marks it ``|safe``.
     It asks nothing of the network, opens from disk, and puts ``window.mitsvbrdfViewer`` into the page
     (``viewer.js``).
 
@@ -57,9 +56,7 @@ def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
 
 
 def encode_maps(svbrdf: SVBRDF) -> tuple[dict, list[bytes]]:
-    """Maps as bytes, and what a reader must know of them: ``{"maps": [...]}`` and the planes, as
-    :func:`encode` has them.
-    """
+    """Description ``{"maps": [...]}`` and byte planes of all maps; :func:`encode` says how."""
     described, planes = [], []
     for name in CHANNELS[svbrdf.bsdf]:
         coding = "octahedral" if name == "normal" else "square" if name in COLOURS else "plain"

@@ -1,12 +1,12 @@
-"""The studio of the live viewer, made ready for one look-up a pixel (split sum: Karis 2013, "Real Shading in
-Unreal Engine 4").
+"""The studio of the live viewer, made ready for one look-up a pixel.
 
-What a lobe gathers from all directions is split into the light that a lobe of that roughness gathers around
-the mirrored direction, as if seen from there (:func:`lobes`), and the share that it reflects
-(:func:`shares`). Measured against the sum over all directions: facing the viewer within 4 % on average; seen
-aslant, where real lobes are longer, metals are off by up to 30 % at 48 degrees and 45 % at 60 to 75, single
-texels by 75 %. Diffuse light is the irradiance of the normal (:func:`diffuse`), Lambert's in both BSDFs.
-Directions lie in pictures as ``relight/environment.py`` says.
+Source: the split sum of Karis 2013, "Real Shading in Unreal Engine 4". It approximates what a lobe gathers
+from all directions by two factors. :func:`lobes` is the light that a lobe of that roughness gathers around
+the mirrored direction, as if seen from there. :func:`shares` is the share that it reflects. Measured against
+the sum over all directions, the mean error is below 4 % facing the viewer. Real lobes are longer aslant:
+metals are off by up to 30 % at 48 degrees and 45 % at 60 to 75, single texels by 75 %. :func:`diffuse` is
+the irradiance of the normal, Lambert's in both BSDFs. ``relight/environment.py`` says how directions lie in
+pictures.
 """
 
 from __future__ import annotations
@@ -30,27 +30,22 @@ FINE = 2 * ROWS  # rows of what is summed over; a multiple of the others
 
 @functools.cache
 def lobes() -> np.ndarray:
-    """Radiance that mirror lobes of rising roughness gather, one picture below the other: 9 H x 2 H x 3 with
-    H = 48.
-    """
+    """Radiance that mirror lobes gather, a picture for each of 9 roughnesses: 9 H x 2 H x 3, H = 48."""
     sharp = (environment.studio(ROWS) * _scale()).numpy()
-    rough = [_gathered(ROWS, functools.partial(_lobe, alpha=(k / (LEVELS - 1)) ** 2)) for k in range(1,
-                                                                                                     LEVELS)]
+    rough = [_gathered(ROWS, functools.partial(_lobe, alpha=(k / (LEVELS - 1)) ** 2))
+             for k in range(1, LEVELS)]
     return np.concatenate([sharp, *rough])
 
 
 @functools.cache
 def diffuse() -> np.ndarray:
-    """Irradiance over pi by the direction of the normal: 16 x 32 x 3, float64. Its luminance is 0.8 facing
-    the camera.
-    """
+    """Irradiance over pi by direction of the normal, 16 x 32 x 3, float64; it is 0.8 facing the camera."""
     return _gathered(DIFFUSE_ROWS, lambda cosine: cosine.clamp_min(0))
 
 
 @functools.cache
 def shares(min_alpha: float) -> np.ndarray:
-    """Of a lobe without Fresnel reflectance, the share that is reflected, and that of it times (1 - v.h)^5:
-    32 x 32 x 2.
+    """Share that a lobe without Fresnel term reflects, and that share times (1 - v.h)^5: 32 x 32 x 2.
 
     Rows: roughness from 0 to 1, columns: n.v from 0 to 1, in the middles of the pixels. The share of a lobe
     with Schlick's reflectance of F0 is F0 times the first plus (1 - F0) times the second.
@@ -113,9 +108,7 @@ def _fine() -> tuple[Tensor, Tensor]:
 
 @functools.cache
 def _scale() -> float:
-    """By which the studio is brightened: white and diffuse, looking back along its direction ahead, has
-    luminance 0.8.
-    """
+    """Factor that gives a white diffuse surface facing the studio's ahead direction luminance 0.8."""
     light, solid = _fine()
     facing = -environment.directions(FINE, 2 * FINE)[..., 1].clamp_max(0)
     return (environment.WHITE_LUMINANCE * math.pi
