@@ -51,13 +51,10 @@ class Canvas:
         self.figure.add_artist(shown)
 
     def write(self, path: Path) -> None:
-        """Write the page as a PNG."""
-        data = io.BytesIO()
-        FigureCanvasAgg(self.figure).print_png(data)
-        files.write_bytes(path, data.getvalue())
-
-    def write_jpeg(self, path: Path, quality: int) -> None:
-        """Write the page as a JPEG of a quality of 1 to 95."""
-        data = io.BytesIO()
-        FigureCanvasAgg(self.figure).print_jpg(data, pil_kwargs={"quality": quality})
+        """Write the page as a PNG, or as a JPEG of quality 88 where the name ends in ``.jpg``."""
+        data, drawn = io.BytesIO(), FigureCanvasAgg(self.figure)
+        if path.suffix == ".jpg":
+            drawn.print_jpg(data, pil_kwargs={"quality": 88})
+        else:
+            drawn.print_png(data)
         files.write_bytes(path, data.getvalue())

@@ -10,9 +10,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..capture.photo import Photo
+from ..capture.photo import UNTURNED, Photo
 from ..capture.quality.next_view import HIGHLIGHT_ANGLE
 from ..capture.stages import CaptureResult
+from ..errors import CaptureError
 from ..io import files
 from ..io.provenance import machine, versions
 from .canvas import LABEL_HEIGHT, PICTURE_GAP, SHEET_MARGIN, SHEET_WIDTH, Canvas
@@ -37,7 +38,7 @@ def write_quality(result: CaptureResult, folder: str | Path) -> None:
     folder, record = Path(folder), quality_record(result)
     rejected = {photo.name: _shown(photo) for photo in result.photos if photo.name in result.rig.rejected}
     files.write_json(folder / "quality.json", record)
-    _contact_sheet(folder / "contact.jpg", result, record, rejected)
+    _contact_sheet(folder / "contact.jpg", result, rejected)
     pictures = {name: picture_uri(at_most(photo, THUMBNAIL), 0) for name, photo in
                 [*zip(result.used, result.capture.photos),
                  *((n, p) for n, p in rejected.items() if p is not None)]}
@@ -61,20 +62,18 @@ def quality_record(result: CaptureResult) -> dict:
     next_view, shading = result.next_view, result.shading
     return {
         "schema_version": SCHEMA_VERSION, "photos": rows, "used": len(result.used),
-        "calibration": result.capture.calibration,
-        "unit": result.rig.unit, "patch": result.rig.size, "resolution": result.capture.resolution,
-        "transfer": result.capture.transfer,
+        "calibration": result.capture.calibration, "unit": result.rig.unit, "patch": result.rig.size,
+        "resolution": result.capture.resolution, "transfer": result.capture.transfer,
         "coverage": {"share": result.covered, "lobe_degrees": math.degrees(HIGHLIGHT_ANGLE)},
         "stand": None if next_view is None else {"camera": list(next_view.camera), "gain": next_view.gain,
                                                  "near": result.used[next_view.near],
                                                  "words": next_view.words},
         "flash": list(map(float, result.rig.lens.flash)),
-        "vignetting": list(map(float, result.rig.lens.vignetting)),
-        "focal": float(result.rig.lens.focal),
-        "log_exposure": {} if shading is None else {n: e for n, e in shading.log_exposure.items()
-                                                    if n in number},
-        "warnings": list(result.warnings), "seconds": result.seconds, "versions": versions(),
-        "machine": machine()}
+        "vignetting": list(map(float, result.rig.lens.vignetting)), "focal": float(result.rig.lens.focal),
+        "log_exposure": {name: value for name, value in (shading.log_exposure if shading else {}).items()
+                         if name in number},
+        "warnings": list(result.warnings), "seconds": result.seconds,
+        "versions": versions(), "machine": machine()}
 
 
 def _name(result: CaptureResult) -> str:
@@ -83,8 +82,6 @@ def _name(result: CaptureResult) -> str:
 
 def _shown(photo: Photo) -> Tensor | None:
     """A photo as its owner knows it, upright and small; None where it cannot be read."""
-    from ..capture.photo import UNTURNED
-    from ..errors import CaptureError
     try:
         pixels = photo.pixels(FULL)
     except CaptureError:
@@ -111,8 +108,7 @@ def _plan(result: CaptureResult) -> dict:
             "stand": next_place and (next_place[0], -next_place[1])}
 
 
-def _contact_sheet(path: Path, result: CaptureResult, record: dict,
-                   rejected: dict[str, Tensor | None]) -> None:
+def _contact_sheet(path: Path, result: CaptureResult, rejected: dict[str, Tensor | None]) -> None:
     """Rectified photos with numbers and a dot below each camera; then the rejected ones with the reason."""
     large = (SHEET_WIDTH - 2 * SHEET_MARGIN - (A_ROW - 1) * PICTURE_GAP) // A_ROW
     small = (SHEET_WIDTH - 2 * SHEET_MARGIN - (SMALL_A_ROW - 1) * PICTURE_GAP) // SMALL_A_ROW
@@ -147,4 +143,4 @@ def _contact_sheet(path: Path, result: CaptureResult, record: dict,
         reason = textwrap.wrap(result.rig.rejected[name], 30, max_lines=5, placeholder=" …")
         for n, line in enumerate([name, *reason]):
             sheet.text(x, y + small + 16 + 16 * n, line, 8, SHEET_QUIET if n else SHEET_TEXT)
-    sheet.write_jpeg(path, 88)
+    sheet.write(path)

@@ -159,12 +159,11 @@ def _write_page(found: Fit, record: dict, into: Path) -> None:
     side = int(max(SMALLEST_PHOTO, min(LARGEST_PHOTO, PHOTOS_WIDE / len(record["photos"])**0.5)))
     write_page(into / "report.html", "report/report.html", fit=fit, record=record,
                title=f"{material_name(found)}: recovered material",
-               maps=_maps(found), front=header(found, record["quick"]),
+               maps=_maps(found), front=header(found, record["quick"]), viewer=viewer_html(found.svbrdf),
                photos=[_photo(photo, side, found, into, found.path) for photo in record["photos"]],
-               viewer=viewer_html(found.svbrdf),
-               curves=error_and_losses(fit["trace"]), measured=_thinned(fit["trace"]), unknown=UNKNOWN,
-               ramp=_ramp(), titles=TITLES,
-               detail=write_detail_page(found, into), scalar=_scalar,
+               curves=error_and_losses(fit["trace"]), measured=_thinned(fit["trace"]),
+               ramp=picture_uri(magma(torch.linspace(0, 1, 256).expand(8, 256))), unknown=UNKNOWN,
+               titles=TITLES, detail=write_detail_page(found, into), scalar=_scalar,
                from_where=about_views(fit.get("calibration") or {}))
 
 
@@ -185,10 +184,6 @@ def _maps(found: Fit) -> list[dict]:
 
 def _map_uri(name: str, value: Tensor) -> str:
     return picture_uri(at_most(shown_map(name, value), LARGEST_MAP), EXACT_MAP)
-
-
-def _ramp() -> str:
-    return picture_uri(magma(torch.linspace(0, 1, 256).expand(8, 256)))
 
 
 def _photo(photo: dict, side: int, found: Fit, *folders: Path) -> dict:

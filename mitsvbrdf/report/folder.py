@@ -25,10 +25,10 @@ from .overview import write_sheet
 @entry()
 def write_fit(result: Fit, capture: Capture, out: str | Path, command: dict | None = None,
               held_out: Capture | None = None, pages: bool = True, overwrite: bool = False) -> None:
-    """Write a fit: maps, detail, uncertainty, guess, photos and re-renderings, sheet, curve, Mitsuba scene,
-    ``fit.json``, page.
+    """Write a fit into a folder, which appears whole or not at all.
 
-    It appears whole or not at all.
+    It holds maps, detail, uncertainty, guess, photos, re-renderings, sheet, curve, Mitsuba scene,
+    ``fit.json`` and the page.
 
     Args:
         result: what :func:`mitsvbrdf.fit.fit_svbrdf` gave.

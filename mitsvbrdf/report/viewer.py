@@ -40,30 +40,20 @@ def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
     svbrdf = svbrdf.detach().check()
     if svbrdf.resolution > largest:
         svbrdf = svbrdf.resized(largest)
-    about, planes = encode_maps(svbrdf)
-    shares = viewer_lighting.shares(MIN_ALPHA[svbrdf.bsdf])
-    coded = [encode("lobes", viewer_lighting.lobes(), "square"),
-             encode("diffuseLight", viewer_lighting.diffuse(), "square"),
-             encode("shares", shares, "plain")]
-    about["studio"] = [entry for entry, _ in coded]
-    planes += [plane for _, each in coded for plane in each]
-    about |= {"bsdf": svbrdf.bsdf, "resolution": svbrdf.resolution, "f0_range": F0_RANGE,
-              "dielectric_f0": DIELECTRIC_F0,
-              "min_alpha": MIN_ALPHA[svbrdf.bsdf], "lobe_levels": viewer_lighting.LEVELS,
-              "titles": {name: TITLES[name] for name in CHANNELS[svbrdf.bsdf]}}
-    payload = base64.b64encode(zlib.compress(b"".join(planes), 9)).decode()
+    names, min_alpha = CHANNELS[svbrdf.bsdf], MIN_ALPHA[svbrdf.bsdf]
+    maps = [encode(name, svbrdf[name].cpu().double().numpy(),
+                   "octahedral" if name == "normal" else "square" if name in COLOURS else "plain")
+            for name in names]
+    studio = [encode("lobes", viewer_lighting.lobes(), "square"),
+              encode("diffuseLight", viewer_lighting.diffuse(), "square"),
+              encode("shares", viewer_lighting.shares(min_alpha), "plain")]
+    about = {"maps": [entry for entry, _ in maps], "studio": [entry for entry, _ in studio],
+             "bsdf": svbrdf.bsdf, "resolution": svbrdf.resolution, "f0_range": F0_RANGE,
+             "dielectric_f0": DIELECTRIC_F0, "min_alpha": min_alpha, "lobe_levels": viewer_lighting.LEVELS,
+             "titles": {name: TITLES[name] for name in names}}
+    planes = b"".join(plane for _, each in (*maps, *studio) for plane in each)
+    payload = base64.b64encode(zlib.compress(planes, 9)).decode()
     return page_text("report/viewer.html", about=about, payload=payload)
-
-
-def encode_maps(svbrdf: SVBRDF) -> tuple[dict, list[bytes]]:
-    """Description ``{"maps": [...]}`` and byte planes of all maps; :func:`encode` says how."""
-    described, planes = [], []
-    for name in CHANNELS[svbrdf.bsdf]:
-        coding = "octahedral" if name == "normal" else "square" if name in COLOURS else "plain"
-        entry, found = encode(name, svbrdf[name].detach().cpu().double().numpy(), coding)
-        described.append(entry)
-        planes += found
-    return {"maps": described}, planes
 
 
 def encode(name: str, value: np.ndarray, coding: str) -> tuple[dict, list[bytes]]:

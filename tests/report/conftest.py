@@ -41,5 +41,5 @@ def measured(fitted, tmp_path_factory):
     """The same fit after `mitsvbrdf report`: its folder, the two records, and the page."""
     out = shutil.copytree(fitted, tmp_path_factory.mktemp("report") / "out")
     assert cli.main(["report", str(out)]) == 0
-    return out, *(json.loads((out / name).read_text()) for name in ("fit.json",
-                                                                    "report.json")), Page(out / "report.html")
+    fit, record = (json.loads((out / name).read_text()) for name in ("fit.json", "report.json"))
+    return out, fit, record, Page(out / "report.html")

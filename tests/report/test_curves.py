@@ -13,10 +13,9 @@ def test_curves_are_logarithmic():
     drawn = curves(trace, ["a", "b"])
     (line,) = drawn["lines"]
     x, y = ([point[k] for point in line["points"]] for k in (0, 1))
-    # down the page is less
-    assert line["name"] == "a" and len(x) == 3 and x[0] < x[1] < x[2] and y[0] < y[1] < y[2]
-    assert x[1] - x[0] == pytest.approx(x[2] - x[1], abs=0.2) and y[1] - y[0] == pytest.approx(y[2] - y[1],
-                                                                                               abs=0.2)
+    assert line["name"] == "a" and len(x) == 3 and x[0] < x[1] < x[2] and y[0] < y[1] < y[2]  # y points down
+    for a, b, c in (x, y):
+        assert b - a == pytest.approx(c - b, abs=0.2)
     assert [label for _, label in drawn["x"]] == ["0.1", "1", "10"]
     assert [place for place, _ in drawn["x"]] == x and [place for place, _ in drawn["y"]] == y[::-1]
     left, top, right, bottom = drawn["frame"]
@@ -25,8 +24,8 @@ def test_curves_are_logarithmic():
     flat = curves([{"seconds": 2.0, "a": 3.0}], ["a"])  # one point is an axis too
     assert len(flat["x"]) > 2 and flat["lines"][0]["points"][0][2:] == (2.0, 3.0)
     narrow = curves([{"seconds": 1.0, "a": 0.0202}, {"seconds": 9.0, "a": 0.0313}], ["a"])
-    assert [label for _, label in narrow["y"]] == ["0.02", "0.022", "0.024", "0.026", "0.028", "0.03",
-                                                   "0.032"]
+    labels = ["0.02", "0.022", "0.024", "0.026", "0.028", "0.03", "0.032"]
+    assert [label for _, label in narrow["y"]] == labels
     long = [{"seconds": k + 1.0, "a": 1.0 / (k + 1)} for k in range(20_000)]
     points = curves(long, ["a"])["lines"][0]["points"]
     assert len(points) <= 1001 and points[-1][2] == 20_000

@@ -1,6 +1,4 @@
-"""The page of a fit in a real browser: it fits, wipes, switches and enlarges, by pointer, touch and
-keyboard.
-"""
+"""The page of a fit in a real browser: its controls work by pointer, touch and keyboard."""
 
 import io
 import shutil
@@ -55,13 +53,15 @@ def test_the_page_fits_and_reads_in_a_browser(width, phone, scheme, larger, tmp_
     with read(larger, width=width, height=844, scheme=scheme, phone=phone) as page:
         page.wait_for_timeout(500)  # the live view draws; errors would be said by now
         assert page.evaluate("document.documentElement.scrollWidth") <= width
-        assert page.locator(".photo").count() == 9 and page.locator(".photo.left").count() == 2
+        assert page.locator(".photo").count() == 9 and page.locator(".photo.held").count() == 2
         # WCAG's contrast of text and ground, 4.5 for small text.
         contrast = page.evaluate("""() => {
           const light = text => { const [r, g, b] = text.match(/[\\d.]+/g).map(v => v / 255)
-            .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4); return 0.2126 * r + 0.7152 * g + 0.0722 * b; };
+            .map(v => v <= 0.04045 ? v / 12.92 : ((v + 0.055) / 1.055) ** 2.4);
+            return 0.2126 * r + 0.7152 * g + 0.0722 * b; };
           const ground = light(getComputedStyle(document.body).backgroundColor);
-          return ["p", "td", "figcaption", "nav a", ".curves text", ".settings dt", ".legend span", "caption"].map(name => {
+          return ["p", "td", "figcaption", "nav a", ".curves text", ".settings dt", ".legend span",
+                  "caption"].map(name => {
             const style = getComputedStyle(document.querySelector(name));
             const ink = light(name.endsWith("text") ? style.fill : style.color);
             return (Math.max(ink, ground) + 0.05) / (Math.min(ink, ground) + 0.05); }); }""")
@@ -119,8 +119,8 @@ def test_switches_and_the_large_picture_work_by_keyboard(larger):
         assert not dialog.is_visible()
         page.locator(".maps .enlarge").nth(3).focus()
         page.keyboard.press("Enter")
-        assert dialog.is_visible() and dialog.locator("img").get_attribute(
-            "alt") == "Normal: standard deviation"
+        alt = dialog.locator("img").get_attribute("alt")
+        assert dialog.is_visible() and alt == "Normal: standard deviation"
         page.keyboard.press("ArrowRight")
         assert dialog.locator("span").inner_text() == "Guessed diffuse"
         page.keyboard.press("Escape")
@@ -144,9 +144,8 @@ def test_a_phone_wipes_by_touch(larger):
 @pytest.mark.slow
 def test_without_javascript_all_pictures_are_there(larger):
     with read(larger) as page:
-        context = page.context.browser.new_context(java_script_enabled=False,
-                                                   viewport={"width": 390, "height": 844})
-        plain = context.new_page()
+        plain = page.context.browser.new_context(java_script_enabled=False,
+                                                 viewport={"width": 390, "height": 844}).new_page()
         plain.goto(larger.resolve().as_uri())
         first = plain.locator(".wipe").first
         boxes = [first.locator("img").nth(k).bounding_box() for k in (0, 1)]
@@ -174,7 +173,8 @@ def test_the_page_begins_with_the_material_and_its_textures(width, phone, larger
         download.value.save_as(tmp_path / "one.png")
         assert (tmp_path / "one.png").read_bytes() == inside.read("inlay_nor_gl.png")
         drawn = page.evaluate("""() => { const canvas = document.querySelector(".tiling");
-          const data = canvas.getContext("2d").getImageData(0, 0, 384, 384).data, at = (x, y) => 4 * (384 * y + x);
+          const data = canvas.getContext("2d").getImageData(0, 0, 384, 384).data;
+          const at = (x, y) => 4 * (384 * y + x);
           return [[...data.slice(at(20, 50), at(21, 50))], [...data.slice(at(148, 306), at(149, 306))]]; }""")
         assert drawn[0] == drawn[1] and sum(drawn[0][:3]) > 0  # the same place of two tiles
         page.get_by_role("link", name="Stability").click()

@@ -32,8 +32,8 @@ def test_a_fit_is_not_lost_with_its_page(photos, tmp_path, monkeypatch, capsys):
         assert cli.main(arguments) == 0
     assert "no page today" in capsys.readouterr().out and not (tmp_path / "out/report.html").exists()
     assert load_maps(tmp_path / "out").resolution == SIDE
-    assert cli.main(["report", str(tmp_path / "out"),
-                     "--quick"]) == 0 and (tmp_path / "out/report.html").is_file()
+    assert cli.main(["report", str(tmp_path / "out"), "--quick"]) == 0
+    assert (tmp_path / "out/report.html").is_file()
 
 
 def test_the_page_is_made_again_from_the_folder_alone(copy):
@@ -59,8 +59,7 @@ def test_without_photos_the_renderings_are_shown_and_the_capture_brings_them_bac
     assert cli.main(["report", str(copy), "--quick"]) == 0
     page = Page(copy / "report.html")
     assert "were not kept here" in page.text and "photo 00" not in page.pictures
-    assert page.pixels("photo 00, re-rendered").shape == (SIDE, SIDE,
-                                                          3) and "held out" not in page.text
+    assert page.pixels("photo 00, re-rendered").shape == (SIDE, SIDE, 3) and "held out" not in page.text
     (copy / "photos/mine").rename(copy / "photos/00.png")
     assert cli.main(["report", str(copy), "--quick", "--capture", str(photos)]) == 2  # replaces nobody's file
     (copy / "photos/00.png").unlink()
@@ -80,8 +79,8 @@ def test_ctrl_c_while_a_fit_is_written_is_heard_when_all_is_there(photos, tmp_pa
 
     monkeypatch.setattr("mitsvbrdf.report.folder.write_scene", pressed)
     assert cli.main(["fit", str(photos), "-o", str(tmp_path / "out"), *FAST]) == 130
-    assert "interrupted" in capsys.readouterr().err and not results.partial_folder(
-        tmp_path / "out").exists()
+    assert "interrupted" in capsys.readouterr().err
+    assert not results.partial_folder(tmp_path / "out").exists()
     assert Fit.load(tmp_path / "out") and (tmp_path / "out/report.html").is_file()
 
 
@@ -110,15 +109,13 @@ def test_the_next_fit_takes_the_pages_files_away(copy, photos):
 
 
 def test_a_fit_predicts_nine_photos_and_report_all(tmp_path):
-    views = GRID
-    twelve = Views(*(torch.cat((t, t[:3])) for t in (views.camera, views.light, views.intensity)))
+    twelve = Views(*(torch.cat((t, t[:3])) for t in (GRID.camera, GRID.light, GRID.intensity)))
     write_capture(photos_of(make_material("tiles", 8), twelve), tmp_path / "photos")
     options = ["--method", "direct", "--renderer", "analytic", "--iterations", "2", "--resolution", "8",
                "--views", "11"]
     out = tmp_path / "out"
     assert cli.main(["fit", str(tmp_path / "photos"), "-o", str(out), *options]) == 0
     assert len(list((out / "predicted").glob("*.png"))) == 9
-    assert "one photo:" in Page(out / "report.html").text  # a warning
     assert cli.main(["report", str(out), "--quick", "--capture", str(tmp_path / "photos")]) == 0
     record = json.loads((out / "report.json").read_text())
     assert [photo["name"] for photo in record["photos"]] == ["11", *(f"{i:02d}" for i in range(11))]

@@ -20,17 +20,12 @@ from mitsvbrdf.report.header import header, judged, packed
 
 
 @pytest.mark.parametrize("stopped, warnings, good, words", [
-    ("settled", [], True, "No check found a fault in these maps; rendered again, they differ from 2 photos "
-                          "by 0.025 (RMSE"),
-    ("settled", ["photo 3 is dark."], False, "Look at this: photo 3 is dark. Rendered again, they differ "
-                                             "from 2 photos"),
-    ("budget", ["one", "two", "three"], False, "Look at this: one (2 more below)."),
-    ("interrupted", [], False, "Look at this: the fit was interrupted")])
+    ("settled", [], True, "0.025"), ("settled", ["photo 3 is dark."], False, "photo 3 is dark. "),
+    ("budget", ["one", "two", "three"], False, "one (2 more"), ("interrupted", [], False, "interrupted")])
 def test_the_verdict_is_that_of_the_record(stopped, warnings, good, words):
-    record = {"per_photo": {"00": 0.02, "01": 0.03}, "rerender_rmse": 0.0254, "stopped": stopped,
-              "warnings": warnings}
-    found, sentence = judged(record)
-    assert found is good and sentence.startswith(words)
+    record = {"per_photo": {"00": 0.02, "01": 0.03}, "rerender_rmse": 0.0254, "stopped": stopped}
+    found, sentence = judged(record | {"warnings": warnings})
+    assert found is good and words in sentence and "2 photos" in sentence
 
 
 def test_the_zip_holds_what_export_writes(tmp_path):

@@ -32,10 +32,9 @@ def test_pointer_and_keys_move_light_and_view(tmp_path):
         page.mouse.down()
         page.mouse.move(*point(0.03, 0.25))
         page.mouse.up()
-        assert np.allclose(state()["turn"], (-30, -15), atol=0.3) and np.allclose(state()["light"],
-                                                                                  (-0.25, 0, 1), atol=0.002)
-        # Seen askew, the light still stands above the point of the patch under the pointer, in the middle its
-        # centre.
+        assert np.allclose(state()["turn"], (-30, -15), atol=0.3)
+        assert np.allclose(state()["light"], (-0.25, 0, 1), atol=0.002)
+        # Seen askew, the light still stands above the point of the patch under the pointer.
         page.mouse.move(*point(0, 0))
         assert np.allclose(state()["light"], (0, 0, 1), atol=0.003)
         page.mouse.move(5, 5)
@@ -63,11 +62,11 @@ def test_every_control_is_reached_by_tab_and_has_a_name(tmp_path):
         for _ in range(13):
             page.keyboard.press("Tab")
             reached.append(page.evaluate("document.activeElement.name || document.activeElement.tagName"))
-            style = "getComputedStyle(document.activeElement.closest('.choices label') ?? document.activeElement)"
-            assert page.evaluate(style + ".outlineStyle") != "none", reached[-1]
-        assert reached[:12] == ["CANVAS", "surface", "lighting", "show", "diffuse", "specular", "roughness",
-                                "normal",
-                                "exposure", "roughnessScale", "height", "tiles"] and reached[12] == "BUTTON"
+            outline = page.evaluate("""() => { const at = document.activeElement;
+                return getComputedStyle(at.closest(".choices label") ?? at).outlineStyle; }""")
+            assert outline != "none", reached[-1]
+        assert reached == ["CANVAS", "surface", "lighting", "show", "diffuse", "specular", "roughness",
+                           "normal", "exposure", "roughnessScale", "height", "tiles", "BUTTON"]
         for name in ("Exposure", "Roughness scale", "Light height", "Tiles"):
             assert page.get_by_role("slider", name=name, exact=True).count() == 1
         page.get_by_role("slider", name="Light height").press("ArrowRight")
@@ -82,9 +81,8 @@ def test_on_a_phone(width, tmp_path):
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         canvas = page.locator("canvas")
         canvas_picture(page)
-        ratio = 2 if width < 600 else 1
-        assert page.evaluate("document.querySelector('canvas').width") == round(ratio * canvas.bounding_box()[
-            "width"])
+        wanted = round((2 if width < 600 else 1) * canvas.bounding_box()["width"])
+        assert page.evaluate("document.querySelector('canvas').width") == wanted
         if width < 600:
             box = canvas.bounding_box()
             page.touchscreen.tap(box["x"] + box["width"] * 0.25, box["y"] + box["height"] / 2)
@@ -96,8 +94,7 @@ def test_on_a_phone(width, tmp_path):
 @pytest.mark.slow
 def test_one_finger_moves_the_light_and_two_turn_the_view(tmp_path):
     with shown(flat(8), tmp_path, width=390, height=800, phone=True) as page:
-        # The browser takes fingers that move up and down for scrolling the page, and hands over the rest when
-        # it likes: these events are made by hand.
+        # The browser scrolls the page with fingers that move up and down: these events are made by hand.
         assert page.locator("canvas").evaluate("canvas => getComputedStyle(canvas).touchAction") == "pan-y"
         page.locator("canvas").evaluate("canvas => { canvas.setPointerCapture = () => {}; }")
 
@@ -105,8 +102,9 @@ def test_one_finger_moves_the_light_and_two_turn_the_view(tmp_path):
             """A finger on the canvas at x, y from -1 to 1; the state after that."""
             return page.locator("canvas").evaluate("""(canvas, [kind, finger, x, y]) => {
                 const box = canvas.getBoundingClientRect();
-                canvas.dispatchEvent(new PointerEvent(kind, { pointerId: finger, pointerType: "touch", bubbles: true,
-                    clientX: box.left + box.width * (x + 1) / 2, clientY: box.top + box.height * (1 - y) / 2 }));
+                canvas.dispatchEvent(new PointerEvent(kind, { pointerId: finger, pointerType: "touch",
+                    bubbles: true, clientX: box.left + box.width * (x + 1) / 2,
+                    clientY: box.top + box.height * (1 - y) / 2 }));
                 return mitsvbrdfViewer.state; }""", [kind, finger, x, y])
 
         assert np.allclose(touch("pointerdown", 1)["light"], (0, 0, 1), atol=0.01)
@@ -114,8 +112,8 @@ def test_one_finger_moves_the_light_and_two_turn_the_view(tmp_path):
         touch("pointerdown", 2, 0.3, -0.47)
         touch("pointermove", 1, -0.27, -0.47)
         state = touch("pointermove", 2, 0.5, -0.47)
-        assert np.allclose(state["turn"], (-12, 0), atol=0.5) and np.allclose(state["light"],
-                                                                              (-0.25, -0.25, 1), atol=0.01)
+        assert np.allclose(state["turn"], (-12, 0), atol=0.5)
+        assert np.allclose(state["light"], (-0.25, -0.25, 1), atol=0.01)
         for finger in (1, 2):
             touch("pointerup", finger)
         assert np.allclose(touch("pointerdown", 3)["light"], (0, 0, 1), atol=0.02)  # one finger again
@@ -125,7 +123,8 @@ def test_one_finger_moves_the_light_and_two_turn_the_view(tmp_path):
 def test_it_draws_only_when_something_changed(tmp_path):
     with shown(flat(8), tmp_path) as page:
         canvas_picture(page)
-        page.evaluate("""() => { window.rows = []; const all = WebGL2RenderingContext.prototype, before = all.scissor;
+        page.evaluate("""() => { window.rows = [];
+            const all = WebGL2RenderingContext.prototype, before = all.scissor;
             all.scissor = function (...box) { window.rows.push(box[3]); before.apply(this, box); }; }""")
         page.wait_for_timeout(500)
         assert page.evaluate("rows") == []

@@ -41,9 +41,7 @@ def bytes_of(linear: np.ndarray) -> np.ndarray:
 
 
 def worst(page, svbrdf: SVBRDF, places=PLACES, **options) -> float:
-    """Largest difference between the viewer's pixels and the analytic renderer's, in 1 / 255 of display
-    values.
-    """
+    """Largest difference of a pixel from the analytic renderer's, in 1 / 255 of display values."""
     errors = []
     for camera, light in places:
         intensity = 2 * math.pi * sum(x * x for x in light)
@@ -58,8 +56,7 @@ def worst(page, svbrdf: SVBRDF, places=PLACES, **options) -> float:
 LIMIT = 1.0
 
 
-# Lower still: where normal and light are at right angles to 3e-5, the 3e-5 of a normal's 16 bits show.
-# Measured: 1.1.
+# Lower still, where the 3e-5 rad of a normal's 16 bits show. Measured: 1.1.
 LOWEST = [((-2.0, 0.0, 0.4), (2.0, 0.1, 0.35))]
 
 
@@ -196,8 +193,7 @@ def test_patch_and_sphere_at_single_points(surface, tiles, turn, tmp_path):
                 assert (got[:3] > 0).all()
                 filled += 1
                 continue
-            # Float32 places a point to 1e-7, which steep maps turn into 1e-4 of a byte, and their steps into
-            # 0.2; in bytes.
+            # In bytes. Float32 places a point to 1e-7; at steps of steep maps that makes 0.2.
             assert np.abs(bytes_of(got[:3]) - bytes_of(truth)).max() < 0.5, (row, column)
             met, bright = met + 1, bright + (truth.max() > 0.02)
     assert met > 50 and bright > 30 and (filled > 0) == (tiles == 3)

@@ -8,22 +8,20 @@ import math
 import numpy as np
 import pytest
 import torch
+from helpers.viewer_pages import changed
 
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.relight import environment
 from mitsvbrdf.render.analytic import MIN_ALPHA, AnalyticRenderer
 from mitsvbrdf.report import viewer_lighting
-from mitsvbrdf.testing import random_material
 from mitsvbrdf.views import Views
 
 
 def weighted(directions: torch.Tensor, kernel) -> np.ndarray:
-    """The studio under a kernel of the cosine, one direction after the other, each pixel as large as it is in
-    the middle.
-    """
+    """The studio under a kernel of the cosine, one direction after the other."""
     rows = 2 * viewer_lighting.ROWS
-    light, ways = environment.studio(rows).reshape(-1, 3), environment.directions(rows, 2 * rows).reshape(-1,
-                                                                                                          3)
+    light = environment.studio(rows).reshape(-1, 3)
+    ways = environment.directions(rows, 2 * rows).reshape(-1, 3)
     weight = kernel(directions @ ways.T) * (1 - ways[:, 2] ** 2).clamp_min(0).sqrt()
     return ((weight @ light) / weight.sum(-1, keepdim=True)).numpy() * viewer_lighting._scale()
 
@@ -46,8 +44,7 @@ def test_lobes_and_irradiance_are_plain_sums():
                            weighted(ways[some], functools.partial(lobe, (level / 8) ** 2)), rtol=8e-3)
     ways = environment.directions(16, 32).reshape(-1, 3)
     diffuse = viewer_lighting.diffuse().reshape(-1, 3)[::37]
-    assert np.allclose(diffuse, weighted(ways[::37], lambda c: c.clamp_min(0)),
-                       rtol=2e-3)
+    assert np.allclose(diffuse, weighted(ways[::37], lambda c: c.clamp_min(0)), rtol=2e-3)
 
 
 def test_white_that_faces_the_camera_has_luminance_0_8():
@@ -69,11 +66,8 @@ def test_shares_are_what_the_analytic_renderer_reflects_of_light_from_everywhere
     views = Views.of(camera, lights, 1e8 * 2 * math.pi / len(lights))
     reflected = {}
     for colour in (1.0, 0.0):
-        metal = {name: value[:1, :1].double() for name, value in random_material("principled",
-                                                                                 2).maps.items()}
-        metal |= {"base_color": torch.full((1, 1, 3), colour), "metallic": torch.ones(1, 1, 1),
-                  "roughness": torch.full((1, 1, 1), roughness), "normal": flat(2)["normal"][:1, :1]}
-        svbrdf = type(flat(2))("principled", {name: value.double() for name, value in metal.items()})
-        reflected[colour] = float(AnalyticRenderer(torch.float64).render(svbrdf, views)[..., 0].sum())
+        metal = flat(1, "principled", base_color=colour, metallic=1.0).to(torch.float64)
+        metal = changed(metal, roughness=torch.tensor(roughness, dtype=torch.float64))
+        reflected[colour] = float(AnalyticRenderer(torch.float64).render(metal, views)[..., 0].sum())
     found = viewer_lighting.shares(MIN_ALPHA["principled"])[row, column]
     assert found == pytest.approx([reflected[1.0], reflected[0.0]], rel=0.02, abs=2e-4)

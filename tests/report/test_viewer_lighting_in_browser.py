@@ -22,9 +22,7 @@ FAR = 1e4  # of the lights that stand for directions
 
 
 def summed(svbrdf, camera, turn: float, rows: int = 192) -> np.ndarray:
-    """Radiance of each texel: light from rows x 2 rows directions, each rendered for itself by the analytic
-    renderer.
-    """
+    """Radiance of each texel, light from each of rows x 2 rows directions rendered for itself."""
     picture = (environment.studio(192) * viewer_lighting._scale()).permute(2, 0, 1)[None]
     picture = torch.cat((picture[..., -1:], picture, picture[..., :1]), dim=-1)  # around the back
     d = environment.directions(rows, 2 * rows).reshape(-1, 3)
@@ -34,8 +32,7 @@ def summed(svbrdf, camera, turn: float, rows: int = 192) -> np.ndarray:
                      dim=-1)
     light = F.grid_sample(picture, at[None, None], align_corners=False, padding_mode="border")[0, :, 0].T
     solid = math.pi / (rows - 1) * math.pi / rows * (1 - d[:, 2] ** 2).clamp_min(0).sqrt()
-    # From the studio's right, ahead, up to the viewer's right, up, back; the studio is turned about what is
-    # up.
+    # From the studio's right, ahead, up to the viewer's right, up, back; the studio turns about up.
     cos, sin = math.cos(math.radians(turn)), math.sin(math.radians(turn))
     x, y = cos * d[:, 0] + sin * d[:, 1], -sin * d[:, 0] + cos * d[:, 1]
     here = torch.stack((x, d[:, 2], -y), dim=-1)
@@ -60,12 +57,10 @@ FACING = ((0.0, 0.0, 2.0), 0.0)
 
 @pytest.mark.slow
 @pytest.mark.parametrize("material, facing, aslant", [
-    # Measured: the mean's error facing and aslant. Split sums are this far from the integral, more the
-    # rougher a metal is.
-    (uniform(0.7, 0.0), 0.012, 0.001), (uniform(0.2, 0.6), 0.011, 0.038), (uniform(0.35, 0.04, (0.3, 0.2)),
-                                                                           0.008, 0.061),
-    (uniform(0.35, 0.9), 0.030, 0.048), (uniform(0.7, 0.9), 0.027, 0.296), (random_material("principled", 4),
-                                                                            0.037, 0.052),
+    # Measured: the mean's error facing and aslant. Split sums are this far from the integral.
+    (uniform(0.7, 0.0), 0.012, 0.001), (uniform(0.2, 0.6), 0.011, 0.038),
+    (uniform(0.35, 0.04, (0.3, 0.2)), 0.008, 0.061), (uniform(0.35, 0.9), 0.030, 0.048),
+    (uniform(0.7, 0.9), 0.027, 0.296), (random_material("principled", 4), 0.037, 0.052),
 ], ids=["diffuse", "gloss", "dielectric", "metal", "rough metal", "principled"])
 def test_radiance_is_the_sum_over_all_directions(material, facing, aslant, tmp_path):
     with shown(material, tmp_path) as page:
