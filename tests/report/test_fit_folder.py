@@ -57,7 +57,7 @@ def spoil_from(out):
     (lambda out: (out / "fit.json").unlink(), ("mitsvbrdf fit", "no fit.json")),
     (lambda out: (out / "fit.json").write_text("{"), ("fit.json",)),
     (changed(schema_version=2), ("schema version 1", "schema_version")),
-    (changed(confidence={"diffuse": {}}), ("confidence.diffuse.median_sd",)),
+    (changed(confidence={"diffuse": {}}), ("confidence", "median_sd")),
     (changed(per_photo={"../../etc": 0.1}), ("per_photo",)),
     (changed(trace=[{"seconds": 1}]), ("trace",)),
     (spoil_from, ("calibration.from",)), (spoil_map, ("normal.exr",)),
