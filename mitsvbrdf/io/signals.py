@@ -14,6 +14,7 @@ from types import FrameType
 # For Mitsuba and Dr.Jit, the first import of libraries, and torch's own defaults.
 PROCESS = threading.RLock()
 AGAIN = 0.02  # seconds after which a Ctrl-C that met an import is tried again
+_waiting: list[threading.Timer] = []  # the next try of such a Ctrl-C
 
 
 def interrupt(number: int, frame: FrameType | None) -> None:
@@ -23,12 +24,20 @@ def interrupt(number: int, frame: FrameType | None) -> None:
     """
     while frame is not None:
         if frame.f_globals.get("__name__") == "importlib._bootstrap":
-            again = threading.Timer(AGAIN, _to_main_thread, (number,))
-            again.daemon = True
-            again.start()
+            _waiting[:] = [threading.Timer(AGAIN, _to_main_thread, (number,))]
+            _waiting[0].daemon = True
+            _waiting[0].start()
             return
         frame = frame.f_back
+    _waiting.clear()
     raise KeyboardInterrupt
+
+
+def still_waiting() -> bool:
+    """Whether a Ctrl-C met an import and was not raised yet; it is not tried again then."""
+    for again in _waiting:
+        again.cancel()
+    return bool(_waiting)
 
 
 def _to_main_thread(number: int) -> None:
