@@ -20,7 +20,7 @@ from ..fit.options import FitOptions, config_record
 from ..io.files import file_hash
 from ..io.json import load
 from .captures import Entry, is_calibrated
-from .stores import Bucket, is_url
+from .stores import Store, is_url
 
 CALIBRATION_FILES = ("capture.json", "camera_pos.txt", "image_size.txt", "light_power.txt", "light_pos.txt")
 TYPICAL_SECONDS = 35.0  # of the default fit: nine photos, 256 px, one thread
@@ -78,7 +78,7 @@ class Asked:
         source, files = self.entry.source, named_files(self.config.fix)
         files += filter(None, [getattr(self.config, "pretrained", None)])
         if is_url(source):
-            contents: list[list] = Bucket(source).contents()
+            contents: list[list] = Store(source).contents()
         else:
             contents = [[os.path.relpath(path, source), file_hash(path)] for path in capture_files(Path(source))]
         named = [[name, file_hash(Path(name))] for name in files if os.path.isfile(name)]

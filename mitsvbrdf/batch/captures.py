@@ -19,9 +19,9 @@ from typing import Any, NamedTuple
 from ..capture.photo import SUFFIXES
 from ..color import Transfer
 from ..errors import CaptureError, ConfigError, MitsvbrdfError
-from ..io.files import stays_inside
-from .stores import MARK, Bucket, is_url, reached
+from .stores import Store, is_url
 
+TOKEN = ".token"  # what a library is known by
 CALIBRATIONS = ("capture.json", "camera_pos.txt")
 PATTERN = frozenset("*?[")
 SIDE = 1024  # pixels a side of the photos that are rectified here
@@ -107,7 +107,7 @@ def is_capture(names: Collection[str]) -> bool:
 def is_calibrated(source: str) -> bool:
     """Whether a capture (its folder, its JSON file, or a URL) states its views; raw photos do not."""
     if is_url(source):
-        return any(name in CALIBRATIONS for name in Bucket(source).objects())
+        return any(name in CALIBRATIONS for name in Store(source).objects())
     return os.path.isfile(source) or any(os.path.isfile(os.path.join(source, name)) for name in CALIBRATIONS)
 
 
@@ -119,11 +119,7 @@ def local_capture(source: str) -> Iterator[Path]:
         return
     with tempfile.TemporaryDirectory(prefix="mitsvbrdf-capture-") as folder:
         target = Path(folder) / name_of(source)
-        bucket = Bucket(source)
-        for name in bucket.objects():
-            if not stays_inside(name) or "\\" in name:
-                raise CaptureError("names inside the capture", f"{name} in {source}", "rename it")
-            bucket.fetch(name, target / name)
+        Store(source).fetch("", target)
         yield target
 
 
@@ -190,7 +186,7 @@ def _expanded(name: str, mistakes: Mistakes, own: tuple[str, ...] = (), where: s
 
 def _captures_in(folder: Path, where: str) -> list[Path]:
     """The folder itself where it is a capture, else the captures right inside it; none of a library."""
-    if (folder / MARK).is_file():
+    if (folder / TOKEN).is_file():
         return []
     if _folder_is_capture(folder):
         return [folder]
@@ -210,14 +206,14 @@ def _folder_is_capture(folder: Path) -> bool:
 
 def _behind(url: str) -> list[str]:
     """The captures that a URL stands for: itself, those right inside it, or those that match its pattern."""
-    bucket, found = Bucket(url.removesuffix("/capture.json")), list[str]()
-    with contextlib.suppress(FileNotFoundError), reached(url):
-        for folder in bucket.matches():
-            names, folders = bucket.listed_at(folder)
+    store, found = Store(url.removesuffix("/capture.json")), list[str]()
+    with contextlib.suppress(FileNotFoundError), store.reached():
+        for folder in store.matches():
+            names, folders = store.listed(folder)
             inside = [folder] if is_capture(names) else [
                 f"{folder}/{name}" for name in sorted(folders)
-                if name[0] != "." and is_capture(bucket.listed_at(f"{folder}/{name}")[0])]
-            found += map(bucket.url_of, inside)
+                if name[0] != "." and is_capture(store.listed(f"{folder}/{name}")[0])]
+            found += map(store.fs.unstrip_protocol, inside)
     if not found:
         raise CaptureError("captures", f"none at {url}", "check the address")
     return found

@@ -19,18 +19,19 @@ const count = (n) => n.toLocaleString("en");
 const clock = (date) => date && new Date(date).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
 const seconds = (s) => s == null ? null : s < 90 ? `${s.toPrecision(2)} s` : `${Math.round(s / 60)} min`;
 const gib = (bytes) => bytes ? `${(bytes / 2 ** 30).toFixed(2)} GiB` : null;
-const TOLD = { held_out_error: (x) => `held out ${number(x, 2)}`, burn_in: (x) => `burn-in ${number(x, 2)}`, seconds, date: clock,
+const TOLD = { error: (x) => `error ${number(x, 2)}`, held_out_error: (x) => `held out ${number(x, 2)}`, burn_in: (x) => `burn-in ${number(x, 2)}`, seconds, date: clock,
   peak_bytes: gib, attempts: (n) => `${n} attempt${n === 1 ? "" : "s"}` };
 
 // ---- Data --------------------------------------------------------------------------------------------------------------
 function take(data) {
   const names = Object.keys(data.columns), counts = {};
-  rows = data.columns.name.map((_, i) => Object.fromEntries(names.map((name) => [name, data.columns[name][i]])));
-  for (const row of rows) {
+  rows = data.columns.name.map((_, i) => {
+    const row = {};
+    for (const name of names) row[name] = data.columns[name][i];
     row.key = row.folder + row.state;
-    row.found = SEARCHED.map((name) => [row[name]].flat().join(" ")).join("\n").toLowerCase();
     counts[row.state] = (counts[row.state] ?? 0) + 1;
-  }
+    return row;
+  });
   for (const card of cards.values()) card.remove();
   cards = new Map();
   for (const option of $("state").options) {
@@ -62,10 +63,15 @@ function look() {
   document.head.append(script);
 }
 
+// All that is searched, made at the first search.
+function wordsOf(row) {
+  return row.found ??= SEARCHED.map((name) => [row[name]].flat().join(" ")).join("\n").toLowerCase();
+}
+
 // ---- What is shown -----------------------------------------------------------------------------------------------------
 function refresh() {
   const text = view.q.trim().toLowerCase(), sign = view.down ? -1 : 1;
-  shown = rows.filter((row) => (!view.state || row.state === view.state) && row.found.includes(text));
+  shown = rows.filter((row) => (!view.state || row.state === view.state) && (!text || wordsOf(row).includes(text)));
   if (view.sort !== "name") {  // rows come by name; missing values are last either way
     shown.sort((a, b) => {
       const [x, y] = [a[view.sort], b[view.sort]];
@@ -121,11 +127,12 @@ function makeCard(row) {
   if (row.preview) picture.append(make("img", { alt: "", decoding: "async", src: row.preview }));
   else picture.append(make("span", { dir: "auto" }, row.state === "failed" ? `Failed: ${row.reason}` : row.state));
   main.append(picture, make("span", { class: "name", dir: "auto", title: `${row.name}\n${row.options ?? ""}` }, row.name));
-  const value = row[view.sort], told = TOLD[view.sort] && value != null ? TOLD[view.sort](value) : number(row.error, 2);
+  const field = TOLD[view.sort] && row[view.sort] != null ? view.sort : "error";
+  const told = row[field] == null ? "" : TOLD[field](row[field]);
   const more = make("button", { class: "more", type: "button", "aria-label": `Details of ${row.name}` }, "⋯");
   more.addEventListener("click", () => showDetails(row));
   const warned = row.warnings?.length ? ` ⚠ ${row.warnings.length}` : "";
-  return make("li", { class: row.state }, main, make("div", { class: "under" }, make("span", {}, (told ?? "") + warned), more));
+  return make("li", { class: row.state }, main, make("div", { class: "under" }, make("span", {}, told + warned), more));
 }
 
 function showDetails(row) {

@@ -23,10 +23,9 @@ import msgspec
 
 from .. import __version__
 from ..errors import MitsvbrdfError, plain_warnings, strict
-from .captures import local_capture, rectified
+from .captures import TOKEN, local_capture, rectified
 from .records import Pending, Result, Row
 from .results import NO_SPACE, WORK, ResultStore
-from .stores import MARK, Disk
 
 if TYPE_CHECKING:
     from ..capture import Capture
@@ -60,7 +59,7 @@ def fit_task(task: dict) -> Iterator[dict]:
     results = ResultStore(task["library"])
     _warm(task["threads"])
     try:
-        token = results.store.read(MARK).decode()
+        token = results.store.read(TOKEN).decode()
     except (OSError, MitsvbrdfError):
         token = ""
     yield {"host": socket.gethostname(), "version": __version__, "token": token}
@@ -246,7 +245,7 @@ def _printed(results: ResultStore, attempt: str) -> Iterator[Path]:
 
 def log_path(results: ResultStore, attempt: str) -> Path | None:
     """Where an attempt prints; None where the library is no folder, and what a dying worker says is lost."""
-    return results.store.path(f"{WORK}/{attempt}.log") if isinstance(results.store, Disk) else None
+    return Path(results.store.path(f"{WORK}/{attempt}.log")) if results.store.folder else None
 
 
 @contextlib.contextmanager

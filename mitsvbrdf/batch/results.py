@@ -24,11 +24,11 @@ import msgspec
 from filelock import FileLock, Timeout
 
 from ..errors import OutputError
-from ..io.files import is_entry, is_regular, stays_inside, to_disk, write_json
+from ..io.files import file_hash, is_entry, is_regular, stays_inside, to_disk, write_json
 from ..io.json import parsed
-from .captures import is_capture
+from .captures import TOKEN, is_capture
 from .records import SHORT, Failure, File, Material, Pending, Result
-from .stores import MARK, Bucket, Disk, is_url, title_of
+from .stores import Store, is_url
 
 RECORD = "batch.json"  # of a result: which capture and options it is of, and what its files hold
 REASON, LOG = "reason.json", "log.txt"  # of a failed capture
@@ -52,8 +52,8 @@ class ResultStore:
 
     def __init__(self, address: str) -> None:
         self.address = address.rstrip("/") if is_url(address) else os.path.realpath(address)
-        self.title = title_of(address)
-        self.store: Disk | Bucket = (Bucket(address) if is_url(address) else Disk(Path(self.address)))
+        self.title = self.address.rsplit("/", 1)[-1]
+        self.store = Store(self.address)
 
     # ---- what lies there ----
 
@@ -69,12 +69,12 @@ class ResultStore:
 
     def failures(self) -> dict[str, Failure]:
         """The materials that failed, by the name of their folder."""
-        folders = self.store.listed(FAILED)[1]
+        folders = self.store.listed(self.store.path(FAILED))[1]
         return self._all(Failure, ((name, f"{FAILED}/{name}/{REASON}") for name in folders))
 
     def pending(self) -> dict[str, Pending]:
         """The materials that are asked for and neither done nor failed, by the name of their folder."""
-        files = self.store.listed(PENDING)[0]
+        files = self.store.listed(self.store.path(PENDING))[0]
         return self._all(Pending, ((name.removesuffix(".json"), f"{PENDING}/{name}") for name in files))
 
     def damage(self, result: Result, hashes: bool) -> str:
@@ -84,11 +84,11 @@ class ResultStore:
             result: its record.
             hashes: whether contents are compared, not only sizes.
         """
-        sizes = self.store.sizes(result.folder)
+        there = self.store.objects(result.folder)
         for name, stated in result.files.items():
-            if name not in sizes:
+            if name not in there:
                 return f"{name} is missing"
-            if sizes[name] != stated.bytes or hashes and (
+            if there[name]["size"] != stated.bytes or hashes and (
                     self.store.hash(f"{result.folder}/{name}") != stated.sha256):
                 return f"{name} has changed"
         return ""
@@ -119,11 +119,11 @@ class ResultStore:
     @contextlib.contextmanager
     def building(self, attempt: str) -> Iterator[Path]:
         """An empty folder of this machine to make a result in; what is left in it after the block is lost."""
-        if isinstance(self.store, Bucket):
+        if self.store.folder is None:
             with tempfile.TemporaryDirectory(prefix="mitsvbrdf-") as name:
                 yield Path(name)
             return
-        folder = self.store.path(f"{WORK}/{attempt}")
+        folder = Path(self.store.path(f"{WORK}/{attempt}"))
         folder.mkdir(parents=True)
         _begun(folder).touch()
         try:
@@ -148,10 +148,9 @@ class ResultStore:
         if self.result(result.folder) is not None:
             return False
         names = sorted(path.relative_to(made).as_posix() for path in made.rglob("*") if is_regular(path))
-        disk = Disk(made)
-        stated = {name: File((made / name).stat().st_size, disk.hash(name)) for name in names}
+        stated = {name: File((made / name).stat().st_size, file_hash(made / name)) for name in names}
         write_json(made / RECORD, msgspec.to_builtins(msgspec.structs.replace(result, files=stated)))
-        if isinstance(self.store, Bucket):
+        if self.store.folder is None:
             for name in (*names, RECORD):
                 self.store.put(made / name, f"{result.folder}/{name}")
             return True
@@ -162,7 +161,7 @@ class ResultStore:
         except FileNotFoundError:
             raise OutputError("the folder that the result was made in", f"{made}, taken away meanwhile",
                               "a newer batch fits this capture") from None
-        target = self.store.root / result.folder
+        target = self.store.folder / result.folder
         try:
             os.rename(made, target)
         except OSError as reason:
@@ -173,7 +172,7 @@ class ResultStore:
             self.set_aside(result.folder)  # what is no result has its name
             os.rename(made, target)
         with contextlib.suppress(OSError):  # it is there; some file systems cannot do this to a folder
-            to_disk(self.store.root)
+            to_disk(self.store.folder)
         return True
 
     def set_aside(self, folder: str) -> None:
@@ -186,8 +185,8 @@ class ResultStore:
 
     def remove(self, folder: str) -> None:
         """Delete a result, or what was set aside; its record first, so that no half passes for a result."""
-        if not (isinstance(self.store, Disk) and (self.store.root / folder).is_symlink()):
-            with contextlib.suppress(OutputError, NotADirectoryError):
+        if not (self.store.folder and (self.store.folder / folder).is_symlink()):
+            with contextlib.suppress(NotADirectoryError):
                 self.store.remove(f"{folder}/{RECORD}")
         self.store.remove(folder)
 
@@ -195,23 +194,23 @@ class ResultStore:
         """Take away all that is being made, and empty folders; renamed first, so that a worker that outlived its batch has
         nothing to publish.
         """
-        if isinstance(self.store, Bucket):
+        if self.store.folder is None:
             return
         for name in (FAILED, PENDING):
             with contextlib.suppress(OSError):  # it holds something, or is none
-                self.store.path(name).rmdir()
+                (self.store.folder / name).rmdir()
         with contextlib.suppress(FileNotFoundError):
             self.store.move(WORK, f"{WORK}-{secrets.token_hex(4)}")
-        for old in self.store.root.glob(f"{WORK}-*"):
+        for old in self.store.folder.glob(f"{WORK}-*"):
             self.store.remove(old.name)
 
     def take_away(self) -> None:
         """Delete a library in which nothing has ended."""
-        for name in (PENDING, WORK, FAILED, MARK, *PAGES, LOCK):
+        for name in (PENDING, WORK, FAILED, TOKEN, *PAGES, LOCK):
             self.store.remove(name)
-        if isinstance(self.store, Disk):
+        if self.store.folder:
             with contextlib.suppress(OSError):
-                self.store.root.rmdir()
+                self.store.folder.rmdir()
 
     # ---- whose it is ----
 
@@ -222,22 +221,22 @@ class ResultStore:
         Raises:
             OutputError: another batch has it, the folder is no library, or it cannot be written.
         """
-        if isinstance(self.store, Bucket):
+        if self.store.folder is None:
             self.store.check()
             cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "mitsvbrdf/libraries"
             lock = cache / f"{hashlib.sha256(self.address.encode()).hexdigest()[:16]}{LOCK}"
         else:
-            lock = self.store.root / LOCK
+            lock = self.store.folder / LOCK
         try:
-            if isinstance(self.store, Disk):
+            if self.store.folder:
                 self._check_own()
             lock.parent.mkdir(parents=True, exist_ok=True)
             if lock.exists() and not is_regular(lock):
                 raise OutputError("a library without links in it", str(lock), "move it away")
             with FileLock(lock, timeout=0):
-                if MARK not in self.store.listed()[0]:
-                    self.store.write(MARK, secrets.token_hex(16).encode())
-                yield self.store.read(MARK).decode()
+                if TOKEN not in self.store.listed()[0]:
+                    self.store.write(TOKEN, secrets.token_hex(16).encode())
+                yield self.store.read(TOKEN).decode()
         except Timeout:
             raise OutputError("one batch at a time in a library", f"{self.address}, in use by another one",
                               "wait for it, or choose another library") from None
@@ -247,7 +246,7 @@ class ResultStore:
 
     def is_library(self) -> bool:
         """Whether a batch has made this place its own: by its mark, or where that is lost by a result."""
-        return MARK in self.store.listed()[0] or any(self.result(name) for name in self.names())
+        return TOKEN in self.store.listed()[0] or any(self.result(name) for name in self.names())
 
     def _check_own(self) -> None:
         """Raise OutputError where the folder is neither new nor a library, or has links to write through."""
@@ -255,7 +254,7 @@ class ResultStore:
         if root.exists() and not root.is_dir():
             raise OutputError("a new folder or a library", f"the file {root}", "choose another place")
         files, folders = self.store.listed()
-        others = [name for name in (*files, *folders) if not name.startswith((LOCK, MARK, WORK))]
+        others = [name for name in (*files, *folders) if not name.startswith((LOCK, TOKEN, WORK))]
         if others and not self.is_library():
             what = "holds photos" if is_capture(files) else f"holds {sorted(others)[0]} and is no library"
             raise OutputError("a new folder or a library", f"{root}, which {what}", "choose another place")

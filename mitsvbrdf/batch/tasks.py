@@ -20,7 +20,7 @@ from ..errors import BackendError
 from .fitting import fit_task
 from .settings import BatchSettings
 
-PREFIX = "mitsvbrdf-ray-"  # of the folder of a Ray of its own
+PREFIX, HELD_BY = "mitsvbrdf-ray-", "lock"  # the folder of a Ray of its own, and what holds it
 OBJECT_STORE_BYTES = 80 << 20  # Ray wants 75 MiB at least; it is shared memory that stays untouched
 LOOPBACK = "127.0.0.1"
 ALONE = {
@@ -227,12 +227,12 @@ def _reach(address: str) -> None:
 def _private_folder() -> Iterator[str]:
     """A folder for what Ray writes, which nobody else may enter; those of commands that were killed go."""
     for old in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
-        with contextlib.suppress(OSError), (old / "lock").open() as lock:
+        with contextlib.suppress(OSError), (old / HELD_BY).open() as lock:
             if old.stat().st_uid == os.getuid() and not old.is_symlink():
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 shutil.rmtree(old, ignore_errors=True)
     folder = tempfile.mkdtemp(prefix=PREFIX)
-    with (Path(folder) / "lock").open("w") as lock:
+    with (Path(folder) / HELD_BY).open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         try:
             yield folder

@@ -14,7 +14,6 @@ from tyro.conf import Positional, arg
 from ..batch.library import Library, matches
 from ..batch.records import Failure, Result
 from ..batch.results import FAILED, ResultStore
-from ..batch.stores import Disk, copied
 from ..errors import ConfigError, MapsError, MitsvbrdfError
 from ..export import check_options
 from ..io.progress import console, progress_bar, say, several
@@ -135,11 +134,11 @@ def _export(results: ResultStore, done: Sequence[dict], formats: str, out: Path,
 @contextlib.contextmanager
 def _local(results: ResultStore, folder: str) -> Iterator[Path]:
     """A result as a folder of this machine."""
-    if isinstance(results.store, Disk):
-        yield results.store.root / folder
+    if results.store.folder:
+        yield results.store.folder / folder
         return
     with tempfile.TemporaryDirectory(prefix="mitsvbrdf-result-") as copy:
-        copied(results.store, folder, Path(copy) / folder)
+        results.store.fetch(folder, Path(copy) / folder)
         yield Path(copy) / folder
 
 

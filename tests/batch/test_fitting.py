@@ -99,7 +99,7 @@ def test_sigterm_ends_a_worker_so_that_no_half_fit_counts(worker):
 def test_a_worker_that_dies_leaves_its_last_words(worker, deed, memory, words):
     said, code, _ = worker(deed, memory=memory)
     assert code < 0 and len(said) == 1
-    assert words in (worker.results.store.root / ".work/one.log").read_text()
+    assert words in (worker.results.store.folder / ".work/one.log").read_text()
 
 
 @pytest.mark.parametrize("deed, state", [("full", "full"), ("", "failed")])

@@ -63,7 +63,7 @@ def test_a_result_appears_by_one_rename_after_all_is_on_the_disk(folder, monkeyp
     monkeypatch.setattr(module, "to_disk", lambda path: (done.append(path.name), sync(path)))
     publish(folder, result_of())
     assert done.index("rename") > max(done.index(name) for name in ("diffuse.png", "fit.json", RECORD, "maps", "one"))
-    assert not list((folder.store.root / WORK).iterdir())
+    assert not list((folder.store.folder / WORK).iterdir())
 
 
 def test_in_a_store_the_record_comes_last(tmp_path, monkeypatch):
@@ -82,7 +82,7 @@ def test_a_result_is_never_replaced(results):
 
 @pytest.mark.parametrize("what", ["file", "folder", "torn"])
 def test_what_is_no_result_goes_aside(folder, what):
-    path = folder.store.root / FOLDER
+    path = folder.store.folder / FOLDER
     if what == "file":
         path.write_text("mine")
     else:
@@ -114,7 +114,7 @@ def test_a_record_of_version_1_0_0_is_read(folder):
     old = {"identity": "a" * 64, "name": "wood", "attempt": "aaaa-1", "source": "/shots/wood", "asked": {},
            "row": {"error": 0.1, "left_out_error": 0.2, "seconds": 1, "date": "2026-11-01T00:00:00Z"},
            "files": {"fit.json": {"bytes": 2, "sha256": "0"}}}
-    (folder.store.root / FOLDER / RECORD).write_text(json.dumps(old))
+    (folder.store.folder / FOLDER / RECORD).write_text(json.dumps(old))
     assert folder.result(FOLDER).row.held_out_error == 0.2
 
 
@@ -133,8 +133,8 @@ def test_what_is_no_file_is_damage_and_not_opened(folder, make):
     publish(folder, result_of())
     for name in ("fit.json", RECORD):
         found = folder.result(FOLDER)
-        (folder.store.root / FOLDER / name).unlink()
-        make(folder.store.root / FOLDER / name)
+        (folder.store.folder / FOLDER / name).unlink()
+        make(folder.store.folder / FOLDER / name)
         assert name == RECORD or folder.damage(found, hashes=True) == "fit.json is missing"
     assert folder.result(FOLDER) is None
 
@@ -171,18 +171,18 @@ def test_one_batch_at_a_time(results):
 
 @pytest.mark.parametrize("name", ["photo.png", "notes.txt", "oak-bbbbbbbb/maps/diffuse.exr", "library.json"])
 def test_a_folder_of_somebody_else_is_refused_and_left_as_it_is(folder, name):
-    path = folder.store.root / name
+    path = folder.store.folder / name
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("mine")
-    before = tree(folder.store.root)
+    before = tree(folder.store.folder)
     with pytest.raises(OutputError, match="a new folder or a library"), folder.claimed():
         pass
-    assert tree(folder.store.root) == before
+    assert tree(folder.store.folder) == before
 
 
 def test_a_library_that_lost_all_but_its_results_is_accepted(folder):
     publish(folder, result_of())
-    (folder.store.root / "library.json").write_text("NaN")
+    (folder.store.folder / "library.json").write_text("NaN")
     with folder.claimed():
         assert folder.result(FOLDER)
 
@@ -194,7 +194,7 @@ def test_nothing_is_written_through_a_link_in_a_library(folder, tmp_path, name):
     with folder.claimed():
         pass
     folder.clear_work()
-    path = folder.store.root / name
+    path = folder.store.folder / name
     if path.exists():
         path.unlink()
     path.symlink_to(tmp_path / "outside")
@@ -206,10 +206,10 @@ def test_nothing_is_written_through_a_link_in_a_library(folder, tmp_path, name):
 def test_what_is_removed_is_inside(folder, tmp_path):
     (tmp_path / "outside").mkdir()
     (tmp_path / "outside" / RECORD).write_text("mine")
-    (folder.store.root / FOLDER).symlink_to(tmp_path / "outside")
+    (folder.store.folder / FOLDER).symlink_to(tmp_path / "outside")
     folder.remove(FOLDER)
-    assert tree(tmp_path / "outside") == {RECORD: b"mine"} and not os.path.lexists(folder.store.root / FOLDER)
-    (folder.store.root / f"{WORK}-old").symlink_to(tmp_path / "outside")
+    assert tree(tmp_path / "outside") == {RECORD: b"mine"} and not os.path.lexists(folder.store.folder / FOLDER)
+    (folder.store.folder / f"{WORK}-old").symlink_to(tmp_path / "outside")
     folder.clear_work()
     assert tree(tmp_path / "outside") == {RECORD: b"mine"}
 

@@ -50,7 +50,7 @@ ALL_DONE = dict.fromkeys(NAMES, "done")
 def test_all_are_done_once_and_listed(batch, slots):
     made, tasks = batch(slots=slots)
     assert made.run(tasks) is False and ended(made) == ALL_DONE and sorted(tasks.order) == sorted(NAMES)
-    listed = json.loads((made.library.results.store.root / "library.json").read_text())
+    listed = json.loads((made.library.results.store.folder / "library.json").read_text())
     assert [row["name"] for row in listed["materials"]] == sorted(NAMES) and not listed["progress"]
     assert made.library.results.pending() == {} and len(batch.said) == 3
 
@@ -154,7 +154,7 @@ def test_ctrl_c_waits_for_what_runs_and_a_second_one_does_not(batch, presses, do
     assert made.run(tasks) is True and len(given) == 1
     assert sum(state == "done" for state in ended(made).values()) == done
     assert sum("Ctrl-C again" in line for line in batch.said) == 1
-    listed = json.loads((made.library.results.store.root / "library.json").read_text())
+    listed = json.loads((made.library.results.store.folder / "library.json").read_text())
     assert listed["command"] == "mitsvbrdf batch"
 
 
@@ -169,7 +169,7 @@ def test_a_node_that_does_not_fit_ends_the_batch(batch, about, told):
     tasks.events = other
     with pytest.raises(BackendError, match=told):
         made.run(tasks)
-    assert (made.library.results.store.root / "index.html").is_file()
+    assert (made.library.results.store.folder / "index.html").is_file()
 
 
 def test_ray_that_ends_is_an_error_and_the_page_tells_what_is_left(batch):

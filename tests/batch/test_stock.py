@@ -78,7 +78,7 @@ def test_a_result_whose_end_nobody_saw_counts(results, shots):
 def test_damage_is_noticed_kept_aside_and_done_anew(results, shots, harm, said):
     do(results, stock(results, shots[0]))
     (folder,) = results.names()
-    harm(results.store.root / folder)
+    harm(results.store.folder / folder)
     found = stock(results, shots[0])
     assert names(found) == ["oak"] and said in found.damaged[folder] and results.aside() == [f"{folder}.damaged"]
 
