@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import json
 import os
 import shutil
@@ -18,43 +17,9 @@ pytest.importorskip("ray")
 
 from batch import chaos
 
-from mitsvbrdf.batch import fitting
-from mitsvbrdf.batch.tasks import RayTasks
-from mitsvbrdf.cli import batch as batch_module
-from mitsvbrdf.cli import main
-
 pytestmark = pytest.mark.slow
 SIDE = 16
 QUICK = ["--resolution", str(SIDE), *chaos.QUICKEST]
-
-
-def poisoned(task):
-    """A fit that dies where its capture says so; the last of the captures' names is that of its folder."""
-    source = Path(task["material"]["source"])
-
-    def fit_capture(*words, fit=fitting.fit_capture):
-        deed = (source / "poison.txt").read_text() if (source / "poison.txt").exists() else ""
-        if deed == "hang":
-            time.sleep(600)
-        if deed == "eat":
-            held = []
-            while True:
-                held.append(b"1" * (1 << 26))
-                time.sleep(0.02)
-        if deed == "abort":
-            os.abort()
-        if deed == "segfault":
-            import ctypes
-            ctypes.string_at(0)
-        if deed == "exit":
-            os._exit(7)
-        return fit(*words)
-
-    real, fitting.fit_capture = fitting.fit_capture, fit_capture
-    try:
-        yield from fitting.fit_task(task)
-    finally:
-        fitting.fit_capture = real
 
 
 @pytest.fixture(scope="module")
@@ -73,12 +38,11 @@ def shots(made, tmp_path, monkeypatch):
     return tmp_path / "shots"
 
 
-def run(capfd, *words, library="library"):
+def run(*words, library="library", script=("-m", "mitsvbrdf")):
     """Exit code and lines of a batch."""
-    capfd.readouterr()
-    code = main(["batch", *map(str, words), "-o", library, "--workers", "2", *QUICK])
-    said = capfd.readouterr()
-    return code, (said.out + said.err).splitlines()
+    ran = subprocess.run([sys.executable, *script, "batch", *map(str, words), "-o", library, "--workers", "2", *QUICK],
+                         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    return ran.returncode, ran.stdout.splitlines()
 
 
 def begins(said, begin, end):
@@ -98,28 +62,28 @@ def rows(*tags):
             if row["tags"] == list(tags)}
 
 
-def test_a_whole_round(shots, capfd):
+def test_a_whole_round(shots):
     """All; nothing; a changed photo; options of its own; one refused, left alone, mended and tried again."""
-    code, said = run(capfd, "shots")
+    code, said = run("shots")
     assert code == 0 and said[-1].startswith("6 done;") and said[-1].endswith("index.html shows them"), said
     assert {row["state"] for row in rows().values()} == {"done"} and len(rows()) == 6
     assert all(Path("library", row["folder"], "maps/diffuse.png").is_file() for row in rows().values())
     assert set(names_in("library")) >= {"index.html", "library.json"} and ".work" not in names_in("library")
     before = {path: path.stat().st_mtime_ns for path in Path("library").glob("*/maps/*")}
 
-    code, said = run(capfd, "shots")
+    code, said = run("shots")
     assert code == 0 and begins(said, "0 to fit", "; 6 done already") and said[-1].startswith("6 done")
     assert {path: path.stat().st_mtime_ns for path in Path("library").glob("*/maps/*")} == before
 
     first = sorted(shots.iterdir())[0].name
     photo = shots / first / "target/00.png"
     shutil.copy(shots / first / "target/01.png", photo)
-    code, said = run(capfd, "shots")
+    code, said = run("shots")
     assert code == 0 and begins(said, "1 to fit", "; 5 done already")
     assert len(list(Path("library").glob(f"{first}-*/batch.json"))) == 2  # the former result is kept
 
     Path("shots/list.txt").write_text(f"{first} --seed 3 --tag 'old wood'  # a remark\n")
-    code, said = run(capfd, "shots/list.txt")
+    code, said = run("shots/list.txt")
     row = rows("old wood")[first]
     assert code == 0
     assert row["options"] == "--guess min --iterations 4 --seed 3 --resolution 16 --pages none"
@@ -127,49 +91,48 @@ def test_a_whole_round(shots, capfd):
     assert record["config"]["seed"] == 3
 
     photo.write_bytes(photo.read_bytes()[:-40])
-    code, said = run(capfd, "shots")
+    code, said = run("shots")
     assert code == 1 and rows()[first]["state"] == "failed" and "00.png" in rows()[first]["reason"]
     assert [name.rpartition("-")[0] for name in names_in("library/failed")] == [first]
-    code, said = run(capfd, "shots")
+    code, said = run("shots")
     assert code == 1 and any("0 to fit" in line and "1 failed before (--retry-failed)" in line
                              for line in said)
-    code, said = run(capfd, "shots", "--retry-failed")
+    code, said = run("shots", "--retry-failed")
     assert code == 1 and any("1 to fit" in line for line in said)
     shutil.copy(shots / first / "target/02.png", photo)
-    code, said = run(capfd, "shots")
+    code, said = run("shots")
     assert code == 0 and rows()[first]["state"] == "done"
 
 
-def test_mistakes_are_told_before_anything_is_made(shots, capfd):
+def test_mistakes_are_told_before_anything_is_made(shots):
     Path("list.txt").write_text("shots\nshots --seed minus\n")
     for words, told in ((["nowhere"], "nothing at nowhere"), (["list.txt"], "line 2 of list.txt"),
                         (["shots", "--timeout", "0"], "--timeout > 0"),
                         (["shots", "--views", "x"], "photo numbers")):
-        code, said = run(capfd, *words)
+        code, said = run(*words)
         assert code == 2 and any(told in line for line in said), (words, said)
     assert not Path("library").exists()
-    code, said = run(capfd, "shots", library="shots")
+    code, said = run("shots", library="shots")
     assert code == 2 and "a new folder or a library" in said[-1] and names_in("shots") == sorted(path.name
                                                                                         for path in shots.iterdir())
 
 
-def test_a_library_beside_its_captures_behind_a_link_is_none_of_them(shots, capfd):
+def test_a_library_beside_its_captures_behind_a_link_is_none_of_them(shots):
     (shots.parent / "real").mkdir()
     (shots / "library").symlink_to(shots.parent / "real")
     for _ in range(2):
-        assert run(capfd, "shots", library="shots/library")[0] == 0
+        assert run("shots", library="shots/library")[0] == 0
     assert len(list((shots.parent / "real").glob("*/batch.json"))) == 6
 
 
-def test_captures_that_kill_their_worker_are_named_and_the_others_are_done(shots, capfd, monkeypatch):
-    monkeypatch.setattr(batch_module, "RayTasks", functools.partial(RayTasks, function=poisoned))
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([*sys.path, str(Path(__file__).parents[1])]))
+def test_captures_that_kill_their_worker_are_named_and_the_others_are_done(shots):
     poisons = {"hang": "killed after 20 s, the limit", "eat": "GiB, the limit is 2 GiB", "abort": "Aborted",
                "segfault": "Segmentation fault", "exit": "its worker died"}
     names = [path.name for path in sorted(shots.iterdir())]
     for name, poison in zip(names, poisons):
         (shots / name / "poison.txt").write_text(poison)
-    code, said = run(capfd, "shots", "--timeout", "20", "--memory", "2", "--retries", "1")
+    code, said = run("shots", "--timeout", "20", "--memory", "2", "--retries", "1",
+                     script=[str(Path(__file__).with_name("poisoned.py"))])
     found = rows()
     assert code == 1 and found[names[5]]["state"] == "done", said
     for name, reason in zip(names, poisons.values()):
@@ -191,7 +154,7 @@ def test_two_batches_at_once_into_one_library(shots):
     assert (found["folders"], found["identities"], found["torn"], found["left over"]) == (6, 6, 0, [])
 
 
-def test_ctrl_c_once_ends_in_order_and_the_same_goes_on(shots, capfd):
+def test_ctrl_c_once_ends_in_order_and_the_same_goes_on(shots):
     start = chaos.command(shots, Path("library"), SIDE, 1)
     batch = subprocess.Popen(start, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     deadline = time.monotonic() + 120
@@ -202,7 +165,7 @@ def test_ctrl_c_once_ends_in_order_and_the_same_goes_on(shots, capfd):
     done = chaos.done_in(Path("library"))
     assert (batch.returncode, 1 <= done < 6) == (130, True) or (batch.returncode, done) == (0, 6), said
     assert said.count("Ctrl-C again") <= 1 and chaos.counted(Path("library"))["torn"] == 0
-    code, said = run(capfd, "shots")
+    code, said = run("shots")
     assert code == 0 and chaos.done_in(Path("library")) == 6
 
 
@@ -215,18 +178,18 @@ def test_a_reader_that_has_seen_enough_stops_nothing(shots):
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0,
                     reason="only root may mount a small disk")
-def test_a_full_disk_loses_nothing_and_what_it_had_begun_is_done_when_there_is_space(shots, capfd):
+def test_a_full_disk_loses_nothing_and_what_it_had_begun_is_done_when_there_is_space(shots):
     disk = Path("library")
     disk.mkdir()
-    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=512k", "none", "library"],
+    if subprocess.run(["mount", "-t", "tmpfs", "-o", "size=300k", "none", "library"],
                       capture_output=True).returncode:
         pytest.skip("may not mount here")
     try:
-        code, said = run(capfd, "shots")
+        code, said = run("shots")
         assert code in (1, 2) and any("space" in line or "full" in line for line in said), said
         assert not (disk / "failed").exists() or not names_in("library/failed"), said
         subprocess.run(["mount", "-o", "remount,size=64m", "library"], check=True)
-        code, said = run(capfd, "shots")
+        code, said = run("shots")
         found = chaos.counted(disk)
         assert code == 0 and (found["folders"], found["torn"], found["left over"]) == (6, 0, []), said
     finally:

@@ -91,7 +91,8 @@ def test_nothing_but_the_folders_counts(ask, library, name, content):
 
 
 def test_verify_finds_what_changed(ask, library):
-    assert ask("--verify")[:2] == (0, ["hashing", "unchanged: 2 of 2 results"])
+    code, said, _ = ask("--verify")
+    assert (code, said[-1]) == (0, "unchanged: 2 of 2 results")
     (library / "oak-10-cccccccc/maps/diffuse.png").write_bytes(b"another")
     code, said, _ = ask("--verify")
     assert code == 1 and "changed: oak-10-cccccccc: maps/diffuse.png has changed" in said
