@@ -80,13 +80,14 @@ class Asked:
         if is_url(source):
             contents: list[list] = Store(source).contents()
         else:
-            contents = [[os.path.relpath(path, source), file_hash(path)] for path in capture_files(Path(source))]
+            files_of = capture_files(Path(source))
+            contents = [[os.path.relpath(path, source), file_hash(path)] for path in files_of]
         named = [[name, file_hash(Path(name))] for name in files if os.path.isfile(name)]
         return _hash([__version__, self.record, contents, named])
 
     @property
     def identity_of_unreadable(self) -> str:
-        """In the place of the identity where photos cannot be read: a hash of their address and the options."""
+        """A hash of address and options, in the place of the identity where photos cannot be read."""
         return _hash([__version__, self.record, self.entry.source, "unreadable"])
 
     @property

@@ -73,9 +73,9 @@ def captures(names: Sequence[str], mistakes: Mistakes) -> list[Entry]:
     """The captures that names stand for, in their order.
 
     Args:
-        names: each a capture (a folder, its JSON file, or a URL), a folder of captures, a pattern of these, or
-            a list: a text file with one of these a line, options behind it, ``#`` before a remark; ``-`` is a
-            list on standard input. A library among captures is passed over.
+        names: each a capture (a folder, its JSON file, or a URL), a folder of captures, a pattern of these,
+            or a list: a text file with one of these a line, options behind it, ``#`` before a remark; ``-``
+            is a list on standard input. A library among captures is passed over.
         mistakes: gathers wrong names and lines; the captures of the others are returned.
 
     Raises:

@@ -9,6 +9,7 @@ import resource
 import signal
 import socket
 import sys
+import tempfile
 import threading
 import time
 import traceback
@@ -37,7 +38,7 @@ LOG_CHARACTERS = 20_000  # of what a fit printed, kept where it fails
 LOOK_SECONDS = 0.2  # between two looks at memory
 HELD = "killed when it held"  # the words of a worker before it ends itself
 
-SIDE = 192  # pixels a side of a preview
+SIDE = 192  # pixels a side of a preview; smaller maps are enlarged
 # of the patch: a highlight on it, and light aslant that shows relief
 LIGHTS = ((-0.35, 0.35, 1.3), (0.9, 0.5, 1.2))
 CAMERA = (0.0, 0.0, 2.2)
@@ -48,9 +49,10 @@ QUALITY = 85
 def fit_task(task: dict) -> Iterator[dict]:
     """Fit one capture; a task of Ray.
 
-    First comes who fits (``host``, ``version``, ``token`` of the library as seen here), once the worker is warm;
-    then what came of it: ``state`` (done, failed, or full where no space is left), ``reason``, and ``log``,
-    the tail of what the fit printed. A worker that sees another library, or has another version, does not fit.
+    First comes who fits (``host``, ``version``, ``token`` of the library as seen here), once the worker is
+    warm; then what came of it: ``state`` (done, failed, or full where no space is left), ``reason``, and
+    ``log``, the tail of what the fit printed. A worker that sees another library, or has another version,
+    does not fit.
 
     Args:
         task: ``library``, ``token``, ``version``, ``material`` (a Pending as JSON holds it), ``attempt`` (its
@@ -99,9 +101,8 @@ def _fit_into(results: ResultStore, material: Pending, attempt: str) -> None:
         row = fit_capture(capture, made, material.asked)
         row = msgspec.structs.replace(row, seconds=round(time.perf_counter() - started, 3),
                                       peak_bytes=_memory()["VmHWM"])
-        stated = {name: getattr(material, name) for name in ("identity", "name", "source", "asked", "words",
-                                                             "tags", "attempts")}
-        results.publish(made, Result(**stated, date=now(), host=socket.gethostname(), row=row, files={}))
+        stated = material.stated() | {"date": now()}
+        results.publish(made, Result(**stated, host=socket.gethostname(), row=row, files={}))
 
 
 def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
@@ -158,19 +159,13 @@ def _row(folder: Path, shown: Capture | None, engine: Renderer) -> Row:
     burn_in = [value for name, value in record["burn_in"].items() if name in ("specular", "roughness")]
     there = {name: name if (folder / name).is_file() else None for name in ("preview.jpg", "report.html")}
     return Row(error=record["rerender_rmse"], held_out_error=error, burn_in=max(burn_in, default=None),
-               warnings=record["warnings"], method=record["method"], resolution=record["capture"]["resolution"],
-               photos=len(record["capture"]["photos"]), preview=there["preview.jpg"],
-               report=there["report.html"])
+               warnings=record["warnings"], method=record["method"], preview=there["preview.jpg"],
+               report=there["report.html"], resolution=record["capture"]["resolution"],
+               photos=len(record["capture"]["photos"]))
 
 
-def write_preview(path: Path, svbrdf: SVBRDF, side: int = SIDE) -> None:
-    """A JPEG of the patch under two point lights, seen from above.
-
-    Args:
-        path: of the file.
-        svbrdf: the material.
-        side: pixels a side; smaller maps are enlarged.
-    """
+def write_preview(path: Path, svbrdf: SVBRDF) -> None:
+    """Write a JPEG of the patch under two point lights, seen from above."""
     import cv2
     import numpy as np
     import torch
@@ -180,17 +175,16 @@ def write_preview(path: Path, svbrdf: SVBRDF, side: int = SIDE) -> None:
     from ..render import make_renderer
     from ..views import Views
 
-    material = svbrdf.resized(min(side, svbrdf.resolution))
+    material = svbrdf.resized(min(SIDE, svbrdf.resolution))
     views = Views.of([CAMERA] * len(LIGHTS), LIGHTS, [(1.0, 1.0, 1.0), (0.45, 0.45, 0.45)], 1.0)
     with torch.no_grad():
         radiance = make_renderer("analytic").render(material, views).sum(dim=0)
     level = float(radiance.mean(dim=-1).quantile(BRIGHT)) or 1.0
     display = color.to_display(radiance * (0.45 / level), "srgb")
     pixels = np.rint(display.numpy()[..., ::-1] * 255).clip(0, 255).astype(np.uint8)
-    if pixels.shape[0] < side:
-        pixels = cv2.resize(pixels, (side, side), interpolation=cv2.INTER_CUBIC)
-    ok, data = cv2.imencode(".jpg", np.ascontiguousarray(pixels), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])
-    assert ok
+    if pixels.shape[0] < SIDE:
+        pixels = cv2.resize(pixels, (SIDE, SIDE), interpolation=cv2.INTER_CUBIC)
+    data = cv2.imencode(".jpg", np.ascontiguousarray(pixels), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
     write_bytes(path, data.tobytes())
 
 
@@ -222,8 +216,6 @@ def _renderer(name: str, variant: str) -> Renderer:
 @contextlib.contextmanager
 def _printed(results: ResultStore, attempt: str) -> Iterator[Path]:
     """Inside, all that this process prints goes to a file, which outlives its death in a folder; its path."""
-    import tempfile
-
     with tempfile.TemporaryDirectory(prefix="mitsvbrdf-log-") as folder:
         path = log_path(results, attempt) or Path(folder) / "log"
         path.parent.mkdir(parents=True, exist_ok=True)

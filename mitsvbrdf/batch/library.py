@@ -24,7 +24,8 @@ GLOBAL = "mitsvbrdfLibrary"  # what the data of the page set
 COLUMNS = ("name", "id", "folder", "state", "error", "held_out_error", "burn_in", "warnings", "seconds",
            "peak_bytes", "attempts", "date", "tags", "method", "resolution", "photos", "host", "source",
            "options", "reason")
-LINKS = "preview", "report", "log"  # columns of addresses
+FILES = {"preview": "preview.jpg", "report": "report.html"}  # of a result, what the page shows
+LINKS = *FILES, "log"  # columns of addresses
 SEARCHED = "name", "tags", "source", "method", "host", "options", "reason"
 SORTS = {"name": "Name", "error": "Error", "held_out_error": "Held-out error", "burn_in": "Burn-in",
          "seconds": "Seconds", "peak_bytes": "Memory", "attempts": "Attempts", "date": "Date"}
@@ -92,22 +93,24 @@ class Library:
 
     def rows(self) -> list[dict]:
         """One row a material, as ``library.json`` has it, in the order of their names."""
-        return [self.row(each) for each in sorted(self.shown().values(), key=lambda each: _natural(each.name))]
+        materials = sorted(self.shown().values(), key=lambda each: _natural(each.name))
+        return [self.row(each) for each in materials]
 
     def row(self, material: Material) -> dict:
         """What is known of a material; paths are below the library."""
         state, row = self.state(material), material.row if isinstance(material, Result) else Row()
         folder = f"{FAILED}/{material.folder}" if state == "failed" else material.folder
-        config, options = (material.asked.get(name) for name in ("config", "options"))
+        config, options = (found if isinstance(found := material.asked.get(name), dict) else {}
+                           for name in ("config", "options"))
         found = {"name": material.name, "id": material.identity[:8], "folder": folder, "state": state,
                  "reason": material.reason if isinstance(material, Failure) else "",
                  **msgspec.structs.asdict(row), "attempts": material.attempts, "date": material.date,
                  "tags": material.tags, "host": material.host if isinstance(material, Result) else None,
                  "source": material.source, "options": material.words,
-                 "method": row.method or (config.get("method") if isinstance(config, dict) else None),
-                 "resolution": row.resolution or (options.get("resolution") if isinstance(options, dict) else None),
+                 "method": row.method or config.get("method"),
+                 "resolution": row.resolution or options.get("resolution"),
                  "log": f"{folder}/{LOG}" if isinstance(material, Failure) and material.log else None}
-        return found | {name: f"{folder}/{found[name]}" if found[name] else None for name in ("preview", "report")}
+        return found | {name: f"{folder}/{file}" if found[name] else None for name, file in FILES.items()}
 
     def write(self, progress: str = "", command: str | None = None) -> None:
         """Write ``library.json``, for pandas and others, and the page.
@@ -126,7 +129,7 @@ class Library:
 
 
 def library_page(title: str) -> str:
-    """The page without its data, which opens from disk and asks for nothing outside of its folder."""
+    """The page without its data; it opens from disk and asks for nothing outside of its folder."""
     return page_text("batch/library.html", title=title, nonce=secrets.token_urlsafe(16), sorts=SORTS,
                      states=STATES, data=DATA, searched=json.dumps(SEARCHED))
 
@@ -137,7 +140,7 @@ def data_script(about: dict, rows: list[dict]) -> str:
     A page that is opened from disk may not read a JSON file, but it may load a script.
     """
     columns = {name: [row[name] for row in rows] for name in COLUMNS}
-    columns |= {name: [address(row[name]) for row in rows] for name in LINKS}
+    columns |= {name: [row[name] and quote(row[name]) for row in rows] for name in LINKS}
     text = json.dumps(about | {"columns": columns}, separators=(",", ":"), allow_nan=False)
     return f"{GLOBAL} = {text.replace('<', chr(92) + 'u003c')};\n"
 
@@ -146,25 +149,8 @@ def matches(row: dict, text: str, states: Collection[str] = ()) -> bool:
     """Whether a row has a text in it, capitals or not, and one of these states; none stands for all."""
     words = (" ".join(value) if isinstance(value, list) else str(value or "")
              for value in (row[name] for name in SEARCHED))
-    return (not states or row["state"] in states) and any(text.casefold() in word.casefold() for word in words)
-
-
-def address(path: str | None) -> str | None:
-    """A path below the library as a relative address; None for one that leads elsewhere.
-
-    Each part is percent-encoded, so that none is a query or a fragment. Absolute paths, those with a scheme,
-    with ``..``, ``.`` or an empty part, and those with a backslash, which a browser may take for a slash, lead
-    nowhere.
-    """
-    if not path or "\\" in path or re.match(r"[A-Za-z][A-Za-z0-9+.-]*:", path):
-        return None
-    parts = path.split("/")
-    if any(part in ("", ".", "..") for part in parts):
-        return None
-    try:
-        return "/".join(quote(part, safe="", errors="surrogateescape") for part in parts)
-    except UnicodeEncodeError:  # half a character: no name of a file
-        return None
+    found = any(text.casefold() in word.casefold() for word in words)
+    return found and (not states or row["state"] in states)
 
 
 def _when(material: Material) -> str:

@@ -60,6 +60,10 @@ class Material(msgspec.Struct, frozen=True, kw_only=True):
         """The name of its folder in a library."""
         return f"{self.name}-{self.identity[:SHORT]}"
 
+    def stated(self) -> dict[str, Any]:
+        """What all kinds of materials state."""
+        return {name: getattr(self, name) for name in Material.__struct_fields__}
+
 
 class Pending(Material, frozen=True, kw_only=True):
     """A material that is not fitted yet.

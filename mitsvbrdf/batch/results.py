@@ -37,9 +37,7 @@ PAGES = "library.json", "library.js", "index.html"
 LOCK, WORK = ".lock", ".work"  # what holds a library, and what is being made
 RESULT = re.compile(rf".+-[0-9a-f]{{{SHORT}}}")
 ASIDE = re.compile(RESULT.pattern + r"\.damaged[0-9]*")
-NO_SPACE = (errno.ENOSPC, errno.EDQUOT)
-
-
+NO_SPACE = errno.ENOSPC, errno.EDQUOT
 Kind = TypeVar("Kind", bound=Material)
 
 
@@ -95,7 +93,8 @@ class ResultStore:
 
     def aside(self) -> list[str]:
         """The folders of what was set aside."""
-        return sorted(name for name in sum(self.store.listed(), []) if ASIDE.fullmatch(name) and is_entry(name))
+        there = sum(self.store.listed(), [])
+        return sorted(name for name in there if ASIDE.fullmatch(name) and is_entry(name))
 
     # ---- what changes ----
 
@@ -185,14 +184,15 @@ class ResultStore:
 
     def remove(self, folder: str) -> None:
         """Delete a result, or what was set aside; its record first, so that no half passes for a result."""
-        if not (self.store.folder and (self.store.folder / folder).is_symlink()):
-            with contextlib.suppress(NotADirectoryError):
-                self.store.remove(f"{folder}/{RECORD}")
+        with contextlib.suppress(OutputError, NotADirectoryError):  # it is a link, or a file
+            self.store.path(f"{folder}/{RECORD}")
+            self.store.remove(f"{folder}/{RECORD}")
         self.store.remove(folder)
 
     def clear_work(self) -> None:
-        """Take away all that is being made, and empty folders; renamed first, so that a worker that outlived its batch has
-        nothing to publish.
+        """Take away all that is being made, and empty folders.
+
+        It is renamed first, so that a worker that outlived its batch has nothing to publish.
         """
         if self.store.folder is None:
             return
@@ -259,7 +259,7 @@ class ResultStore:
             what = "holds photos" if is_capture(files) else f"holds {sorted(others)[0]} and is no library"
             raise OutputError("a new folder or a library", f"{root}, which {what}", "choose another place")
         for path in (*root.glob("*"), *root.glob(f"{FAILED}/*"), *root.glob(".*")):
-            if path.is_symlink() and not (RESULT.fullmatch(path.name) and path.parent == root):
+            if path.is_symlink():
                 raise OutputError("a library without links in it", f"{path}, a link", "move it away")
 
     # ---- records ----
@@ -279,7 +279,8 @@ class ResultStore:
 
     def _all(self, kind: type[Kind], places: Any) -> dict[str, Kind]:
         found = {name: self._read(place, kind) for name, place in places}
-        return {name: each for name, each in found.items() if each and each.folder == name and is_entry(name)}
+        return {name: each for name, each in found.items()
+                if each and each.folder == name and is_entry(name)}
 
     def _write(self, name: str, record: Material) -> None:
         self.store.write(name, (json.dumps(msgspec.to_builtins(record), indent=1) + "\n").encode())

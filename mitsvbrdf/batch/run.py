@@ -10,7 +10,6 @@ import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import msgspec
 
@@ -22,24 +21,16 @@ from ..io.signals import stop_signals
 from .fitting import HELD, LOG_CHARACTERS, log_path
 from .library import Library
 from .progress import Progress, Tell
-from .records import Failure, Material, Pending
+from .records import Failure, Pending
 from .settings import BatchSettings
+from .tasks import RayTasks
 
 TURN_SECONDS = 0.5  # at most so long nothing is looked at
 PAGE_SECONDS = 5.0  # between two writings of the page, which takes at most a fiftieth of the time
 PAGE_SHARE = 1 / 50
-MOST_LOST = 8  # times that a capture's node, or its worker before the fit, may die until it counts as failed
+MOST_LOST = 8  # times that a capture's node, or its worker before the fit, may die before the capture fails
+MOST_UNREADY = 20  # workers in a row that may die before a fit
 LAST_WORDS = re.compile(rf"^(?:Fatal Python error: |{HELD} ).*", re.MULTILINE)
-
-
-class Tasks(Protocol):
-    """What runs fits; see :class:`~.tasks.RayTasks`."""
-
-    @property
-    def slots(self) -> int: ...  # noqa: D102
-    def start(self, name: str, task: dict) -> None: ...  # noqa: D102
-    def cancel(self, *names: str) -> None: ...  # noqa: D102
-    def events(self, seconds: float) -> Sequence[tuple[str, dict]]: ...  # noqa: D102
 
 
 @dataclass
@@ -67,8 +58,8 @@ class Batch:
         clock: seconds since any moment.
     """
 
-    def __init__(self, library: Library, work: Sequence[Pending], settings: BatchSettings, token: str, tell: Tell,
-                 command: str | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, library: Library, work: Sequence[Pending], settings: BatchSettings, token: str,
+                 tell: Tell, command: str | None = None, clock: Callable[[], float] = time.monotonic) -> None:
         self.library, self.settings, self.token = library, settings, token
         self.tell, self.command, self.clock = tell, command, clock
         self.name = secrets.token_hex(4)  # of this run, in the names of its attempts
@@ -76,11 +67,11 @@ class Batch:
         heapq.heapify(self.waiting)
         self.running: dict[str, Attempt] = {}
         self.tried, self.lost = Counter[str](), Counter[str]()
-        self.started, self.ended, self.failed, self.trouble = clock(), 0, 0, ""
+        self.started, self.ended, self.failed, self.unready, self.trouble = clock(), 0, 0, 0, ""
         self._count, self._page_due = len(self.waiting), 0.0
         self.memory = settings.memory if settings.address else settings.local_memory()
 
-    def run(self, tasks: Tasks) -> bool:
+    def run(self, tasks: RayTasks) -> bool:
         """Until all is done, or Ctrl-C: the first one waits for what runs, the second one does not.
 
         Returns:
@@ -119,7 +110,7 @@ class Batch:
         except (OutputError, OSError) as reason:
             self.trouble = self.trouble or str(reason)
 
-    def _hand_out(self, tasks: Tasks, stop: bool) -> None:
+    def _hand_out(self, tasks: RayTasks, stop: bool) -> None:
         """Give work to every idle worker."""
         while self.waiting and not stop and not self.trouble and len(self.running) < tasks.slots:
             material = heapq.heappop(self.waiting)[-1]
@@ -138,14 +129,14 @@ class Batch:
                 and (limit := self.settings.timeout or each.material.limit)
                 and self.clock() > each.began + limit]
 
-    def _heard(self, tasks: Tasks, name: str, event: dict) -> None:
+    def _heard(self, tasks: RayTasks, name: str, event: dict) -> None:
         """Take in what a task yielded."""
         attempt = self.running.get(name)
         if attempt is None:
             return
         if "state" not in event:
             self._check_node(event)
-            attempt.began = self.clock()
+            attempt.began, self.unready = self.clock(), 0
             return
         overdue = name in self._overdue()
         del self.running[name]
@@ -156,17 +147,22 @@ class Batch:
             event |= {"state": "timeout", "reason": f"killed after {limit:g} s, the limit"}
         elif event["state"] == "crashed" and attempt.began is None:  # before it looked at the capture
             event |= {"state": "lost"}
+            self.unready += 1
+            if self.unready > MOST_UNREADY:
+                raise BackendError("workers that start", f"{self.unready} in a row that died",
+                                   "run `mitsvbrdf doctor`, on all nodes")
         self._ended(material, event | self._last_words(name, event))
 
     def _check_node(self, about: dict) -> None:
         """Raise BackendError for a node that cannot take part."""
         if about["version"] != __version__:
-            raise BackendError(f"mitsvbrdf {__version__} on all nodes", f"{about['version']} on {about['host']}",
-                               "install the same version there")
+            raise BackendError(f"mitsvbrdf {__version__} on all nodes",
+                               f"{about['version']} on {about['host']}", "install the same version there")
         if about["token"] != self.token:
             raise BackendError("a library that all nodes see",
                                f"{self.library.results.address}, which {about['host']} does not see",
-                               "put it on a file system that all nodes share, under the same path, or give its URL")
+                               "put it on a file system that all nodes share, under the same path, "
+                               "or give its URL")
 
     def _last_words(self, name: str, event: dict) -> dict:
         """What a worker that died had printed, and its reason, where it said one."""
@@ -179,7 +175,8 @@ class Batch:
         found = LAST_WORDS.findall(log)
         if not found or event["state"] != "crashed":
             return {"log": log}
-        return {"log": log, "reason": found[-1], "state": "memory" if found[-1].startswith(HELD) else "crashed"}
+        state = "memory" if found[-1].startswith(HELD) else "crashed"
+        return {"log": log, "reason": found[-1], "state": state}
 
     def _ended(self, material: Pending, event: dict) -> None:
         """Note how an attempt ended, by what lies in the library."""
@@ -200,10 +197,10 @@ class Batch:
             self._again(material, event)
         else:
             reason = "its result did not appear" if state == "done" else event["reason"]
-            stated = {name: getattr(material, name) for name in Material.__struct_fields__}
             self.failed += 1
             self._say(f"{material.name}: failed{_how(state)}: {reason}", ended=True)
-            self.library.failed(Failure(**stated, state=state, reason=reason), event.get("log", ""))
+            failure = Failure(**material.stated(), state=state, reason=reason)
+            self.library.failed(failure, event.get("log", ""))
 
     def _again(self, material: Pending, event: dict, first: bool = False) -> None:
         self._wait(material, first)

@@ -17,8 +17,8 @@ class BatchSettings:
     """Workers and their limits."""
 
     workers: int | None = None
-    """How many captures are fitted at a time. Default: one a core, fewer where memory is short; on a cluster as
-    many as its cores allow."""
+    """How many captures are fitted at a time. Default: one a core, fewer where memory is short; on a cluster
+    as many as its cores allow."""
     threads: int = 1
     """Threads of each worker."""
     address: str | None = None

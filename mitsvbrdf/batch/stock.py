@@ -81,7 +81,7 @@ def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
             damaged[folder] = wrong
             results.set_aside(folder)
         if folder in unreadable:
-            library.failed(Failure(**_stated(material), state="unreadable", reason=unreadable[folder]))
+            library.failed(Failure(**material.stated(), state="unreadable", reason=unreadable[folder]))
         elif isinstance(before, Failure) and not retry_failed:
             counts["failed"] += 1
         else:
@@ -113,7 +113,8 @@ def _material(asked: Asked) -> tuple[Pending, str] | OutputError:
         known, cost, limit = asked.identity, asked.cost, asked.limit
     except OSError as error:
         known = asked.identity_of_unreadable
-        reason = str(OutputError("a capture that can be read", f"{source}: {error}", "check your rights to it"))
+        reason = str(OutputError("a capture that can be read", f"{source}: {error}",
+                                 "check your rights to it"))
     return Pending(identity=known, name=name_of(source), source=source, asked=asked.record, words=asked.words,
                    tags=list(asked.tags), date=now(), base=os.getcwd(), cost=cost, limit=limit), reason
 
@@ -132,8 +133,3 @@ def _restate(library: Library, result: Result, material: Pending, shown: bool) -
         result = msgspec.structs.replace(result, **said, date=now())
         library.results.restate(result)
     library.done(result)
-
-
-def _stated(material: Material) -> dict:
-    """What all records have in common."""
-    return {name: getattr(material, name) for name in Material.__struct_fields__}

@@ -12,9 +12,10 @@ from typing import IO
 from ..errors import BackendError, MitsvbrdfError, OutputError
 from ..io.files import inside, open_regular, remove, stays_inside, write_bytes
 
-LOCAL = "file", "local"  # fsspec's names of this machine's files: the only ones where folders have to be made
-EXTRAS = {"s3": "pip install 'mitsvbrdf[s3]'", "s3a": "pip install 'mitsvbrdf[s3]'", "gs": "pip install gcsfs",
-          "gcs": "pip install gcsfs", "abfs": "pip install adlfs", "az": "pip install adlfs"}
+LOCAL = "file", "local"  # what fsspec calls this machine's files, where folders have to be made
+EXTRAS = {"s3": "pip install 'mitsvbrdf[s3]'", "s3a": "pip install 'mitsvbrdf[s3]'",
+          "gs": "pip install gcsfs", "gcs": "pip install gcsfs",
+          "abfs": "pip install adlfs", "az": "pip install adlfs"}
 
 
 def is_url(address: str) -> bool:
@@ -25,7 +26,7 @@ def is_url(address: str) -> bool:
 class Store:
     """A folder, or an object store. Names in it are relative, with ``/`` between their parts.
 
-    No link in a folder is gone through. Listings of a store are asked for anew each time: other workers write.
+    No link in a folder is followed. No listing is kept, since other workers write.
 
     Args:
         address: a path; a URL of a folder in a store, or of a pattern of folders.
@@ -115,7 +116,7 @@ class Store:
                 self.fs.get_file(self.path(f"{name}/{each}".lstrip("/")), str(folder / each))
 
     def matches(self) -> list[str]:
-        """The folders that a URL stands for as a pattern, as the store names them; itself where it is none."""
+        """The folders that a URL stands for, as the store names them: several where it is a pattern."""
         return sorted(self.fs.glob(self.root)) if set("*?[") & set(self.root) else [self.root]
 
     def listed(self, path: str = "") -> tuple[list[str], list[str]]:
@@ -132,7 +133,7 @@ class Store:
         return names["file"], names["directory"]
 
     def objects(self, name: str = "") -> dict[str, dict]:
-        """What the system says of each file below a folder, by its name in there; not of links and pipes."""
+        """What the system says of each regular file below a folder, by its name in there."""
         folder = self.path(name)
         with self.reached():
             found = self.fs.find(folder, detail=True)

@@ -48,8 +48,9 @@ class RayTasks:
         function: yields who does a task, then what came of it; loaded by each node from its own package.
     """
 
-    def __init__(self, settings: BatchSettings, function: Callable[[dict], Iterator[dict]] = fit_task) -> None:
-        self.settings, self.function = settings, function
+    def __init__(self, settings: BatchSettings,
+                 function: Callable[[dict], Iterator[dict]] = fit_task) -> None:
+        self.settings, self.function, self._workers = settings, function, settings.local_workers()
         self._tasks: dict[Any, str] = {}  # names by generator
         self._servers: set[int] = set()  # processes of a Ray of its own
         self._nodes: list[dict] = []
@@ -78,7 +79,7 @@ class RayTasks:
     def slots(self) -> int:
         """How many fits may run at a time now."""
         if self.settings.address is None:
-            return self.settings.local_workers()
+            return self._workers
         cores = [node["Resources"].get("CPU", 0) for node in self._nodes if node["Alive"]]
         return self.settings.workers or sum(int(each // self.settings.threads) for each in cores)
 
@@ -98,8 +99,8 @@ class RayTasks:
     def events(self, seconds: float) -> list[tuple[str, dict]]:
         """What tasks yielded since the last call, by their names; waits so long for the first.
 
-        A task whose worker is gone yields ``{"state": "crashed" | "lost" | "cancelled" | "memory", "reason"}``;
-        lost are those of a node that died. A task ends with its first ``state``.
+        A task whose worker is gone yields a ``state`` (crashed, cancelled, memory, or lost with its node) and
+        a ``reason``. A task ends with its first ``state``.
 
         Raises:
             BackendError: Ray itself ended.
@@ -134,7 +135,8 @@ class RayTasks:
         except exceptions.RayTaskError as reason:
             return {"state": "failed", "reason": str(reason.cause)}
         except exceptions.RayError:
-            return {"state": "crashed", "reason": "its worker died, by itself, by hand, or as memory ran out"}
+            return {"state": "crashed",
+                    "reason": "its worker died, by itself, by hand, or as memory ran out"}
 
     def _start(self, folder: Path) -> None:
         """Start a Ray of its own, or join a cluster."""
@@ -165,7 +167,7 @@ class RayTasks:
         os.environ.setdefault("RAY_AUTH_TOKEN", secrets.token_hex(32))
         for left in reversed(range(TRIES)):
             try:
-                self._init(folder, "local", num_cpus=settings.local_workers() * settings.threads, num_gpus=0,
+                self._init(folder, "local", num_cpus=self._workers * settings.threads, num_gpus=0,
                            object_store_memory=OBJECT_STORE_BYTES, include_dashboard=settings.dashboard,
                            _node_ip_address=LOOPBACK, _temp_dir=str(folder / f"ray{left}"))
                 break
@@ -186,7 +188,8 @@ class RayTasks:
         env = {"env_vars": dict.fromkeys(THREADS, str(self.settings.threads))}
         try:
             with contextlib.chdir(folder):
-                ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL, runtime_env=env, **options)
+                ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL, runtime_env=env,
+                         **options)
         except BaseException:
             ray.shutdown()
             raise

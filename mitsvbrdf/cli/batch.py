@@ -37,8 +37,8 @@ TOLD = 20  # failures that are told one by one
 
 
 def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="captures", help=(
-              "Captures, folders of captures, patterns, URLs, or lists: text files with a capture and its own "
-              "options a line. - is a list on standard input."), help_behavior_hint="(required)")],
+              "Captures, folders of captures, patterns, URLs, or lists: text files with a capture and its "
+              "own options a line. - is a list on standard input."), help_behavior_hint="(required)")],
           out: Annotated[str, arg(aliases=["-o"], metavar="LIBRARY", help=(
               "The library: a folder that all workers see, or a URL like s3://bucket/library."))],
           config: FitConfig, shared: OmitArgPrefixes[FitOptions] = USUAL,
@@ -50,18 +50,18 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
           tag: UseAppendAction[Annotated[tuple[str, ...], arg(
               help="Words to find these materials by, commas between.")]] = (),
           sheet: Annotated[float | None, arg(metavar="CM", help=(
-              "Measured size of the printed sheet of tags that lies around the material in raw photos."))] = None,
+              "Measured size of the printed sheet of tags around the material in raw photos."))] = None,
           strict: Strict = False) -> int:
     """Fit many captures into one library, whatever dies on the way.
 
     `mitsvbrdf batch shots/ -o library` fits each capture in shots/. The options are those of `mitsvbrdf fit`.
     The same command again goes on: it checks and skips what is done, fits what has changed, and tries again
-    what failed with --retry-failed. Raw photos become captures first. Ctrl-C waits for what runs; a second one
-    does not.
+    what failed with --retry-failed. Raw photos become captures first. Ctrl-C waits for what runs; a second
+    one does not.
 
-    LIBRARY then holds a folder a material, index.html to look at (also while the batch runs), library.json for
-    pandas, and failed/ with the reason and the log of each capture that failed. The exit code is 1 where one
-    failed. Needs Ray: pip install 'mitsvbrdf[batch]'.
+    LIBRARY then holds a folder a material, index.html to look at (also while the batch runs), library.json
+    for pandas, and failed/ with the reason and the log of each capture that failed. The exit code is 1 where
+    one failed. Needs Ray: pip install 'mitsvbrdf[batch]'.
     """
     running.check()
     shared.check(config)
@@ -172,7 +172,8 @@ def _ended(library: Library, interrupted: bool, nameless: int) -> int:
         say(f"failed: {each.name} ({each.source}): {each.reason}{log}")
     words = [f"{counts['done']} done"] + [f"{n} {what}" for n, what in (
         (counts["failed"], "failed"), (nameless, "omitted"), (counts["pending"], "left")) if n]
-    say(f"{', '.join(words)}; {home}/{PAGE} shows them" + ("; the same command goes on" if counts["pending"] else ""))
+    more = "; the same command goes on" if counts["pending"] else ""
+    say(f"{', '.join(words)}; {home}/{PAGE} shows them{more}")
     if counts["failed"] or nameless:
         return 1
     return INTERRUPTED if interrupted and counts["pending"] else int(counts["pending"] > 0)

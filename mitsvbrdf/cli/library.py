@@ -24,25 +24,47 @@ COLUMNS = {"error": "{:.4f}", "held_out_error": "{:.4f}", "burn_in": "{:.2f}", "
 WIDE = 32  # letters of a name that the list has room for beside its numbers, in a terminal of 80
 
 
-def library(folder: Annotated[Positional[str], arg(metavar="LIBRARY", help="What a batch made: a folder or a URL.")],
-            search: Annotated[str, arg(metavar="TEXT", help=(
-                "Only materials with this text in name, tags, source, method, host, options or reason."))] = "",
-            state: Annotated[Literal["all", "done", "failed", "pending"], arg(
-                help="Only materials in this state.")] = "all",
-            verify: Annotated[bool, arg(help="Hash all files again, and say which have changed.")] = False,
-            export: Annotated[str, arg(metavar="FORMAT,...", help=(
-                "Export each of them into OUT/NAME; formats as of `mitsvbrdf export --to`."))] = "",
-            out: Annotated[Path | None, arg(aliases=["-o"], help="Where exports go.")] = None,
-            prune: Annotated[bool, arg(help=(
-                "Delete results that a newer one of the same capture took the place of, and what was damaged and "
-                "set aside."))] = False,
-            dry_run: Annotated[bool, arg(help="With --prune: only say what it would delete.")] = False,
-            as_json: Annotated[bool, arg(name="json", help="Print rows as JSON, one a line.")] = False,
-            overwrite: Annotated[bool, arg(help="Replace exports that are there already.")] = False) -> int:
+def library(
+    folder: Annotated[
+        Positional[str], arg(metavar="LIBRARY", help=("What a batch made: a folder or a URL."))
+    ],
+    search: Annotated[
+        str,
+        arg(
+            metavar="TEXT",
+            help=("Only materials with this text in name, tags, source, method, host, options or reason."),
+        ),
+    ] = "",
+    state: Annotated[
+        Literal["all", "done", "failed", "pending"], arg(help="Only materials in this state.")
+    ] = "all",
+    verify: Annotated[bool, arg(help="Hash all files again, and say which have changed.")] = False,
+    export: Annotated[
+        str,
+        arg(
+            metavar="FORMAT,...",
+            help=("Export each of them into OUT/NAME; formats as of `mitsvbrdf export --to`."),
+        ),
+    ] = "",
+    out: Annotated[Path | None, arg(aliases=["-o"], help="Where exports go.")] = None,
+    prune: Annotated[
+        bool,
+        arg(
+            help=(
+                "Delete results that a newer one of the same capture took the place of, and what was damaged "
+                "and set aside."
+            )
+        ),
+    ] = False,
+    dry_run: Annotated[bool, arg(help="With --prune: only say what it would delete.")] = False,
+    as_json: Annotated[bool, arg(name="json", help="Print rows as JSON, one a line.")] = False,
+    overwrite: Annotated[bool, arg(help="Replace exports that are there already.")] = False,
+) -> int:
     """Look through a library of materials: list, check, export or tidy up what `mitsvbrdf batch` made.
 
-    `mitsvbrdf library LIBRARY --search wood --state done` lists some of them. The page LIBRARY/index.html shows
-    them all, and LIBRARY/library.json is for pandas. The exit code of --verify is 1 where a file has changed.
+    `mitsvbrdf library LIBRARY --search wood --state done` lists some of them. The page LIBRARY/index.html
+    shows them all, and LIBRARY/library.json is for pandas. The exit code of --verify is 1 where a file has
+    changed.
     """
     if bool(export) != (out is not None):
         raise ConfigError("--export FORMAT with -o FOLDER", "one of them", "give both, or neither")
@@ -79,7 +101,8 @@ def _print(chosen: Sequence[dict]) -> None:
         say("no material matches")
         return
     table = Table(title=several(len(chosen), "material"), title_justify="left", box=None, header_style="bold")
-    table.add_column("material", overflow="fold", min_width=min(WIDE, max(len(_called(row)) for row in chosen)))
+    longest = max(len(_called(row)) for row in chosen)
+    table.add_column("material", overflow="fold", min_width=min(WIDE, longest))
     table.add_column("state", no_wrap=True)
     for heading in (*(name.replace("_", " ") for name in COLUMNS), "warnings"):
         table.add_column(heading, justify="right")
@@ -116,7 +139,7 @@ def _verify(materials: Library, folders: Sequence[str]) -> int:
 
 
 def _export(results: ResultStore, done: Sequence[dict], formats: str, out: Path, overwrite: bool) -> int:
-    """Export each material into a folder of its own; one that cannot be exported is told, and the rest goes on."""
+    """Export each material into a folder of its own; where one fails that is told, and the rest goes on."""
     from .export import export as export_one
 
     wrong = 0

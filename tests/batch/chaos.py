@@ -2,8 +2,9 @@
 
     python tests/batch/chaos.py FOLDER --captures 1000 --side 16 --worker-every 20 --heads 0 --commands 3
 
-makes captures in FOLDER/captures, fits them into FOLDER/library while it kills, fits them again undisturbed into
-FOLDER/quiet, compares every map, and prints what it counted as JSON. A test does the same with few captures.
+makes captures in FOLDER/captures, fits them into FOLDER/library while it kills, fits them again undisturbed
+into FOLDER/quiet, compares every map, and prints as JSON what it counted: "chaos" of docs/results/batch.json. A
+test does the same with few captures.
 """
 
 from __future__ import annotations
@@ -57,7 +58,8 @@ def make_captures(folder: Path, count: int, side: int) -> None:
 
 def command(captures: Path, library: Path, side: int, workers: int) -> list[str]:
     """The batch that is disturbed."""
-    return [sys.executable, "-m", "mitsvbrdf", "batch", str(captures), "-o", str(library), "--resolution", str(side),
+    return [sys.executable, "-m", "mitsvbrdf", "batch", str(captures), "-o", str(library), "--resolution",
+            str(side),
             "--workers", str(workers), *QUICKEST]
 
 
@@ -81,7 +83,7 @@ def below(root: int, *parts: str) -> list[int]:
 
 def disturbed(start: list[str], library: Path, log: Path, *, worker_every: float, heads: int, commands: int,
               total: int, seed: int = 0) -> dict:
-    """Run a batch to its end while its processes are killed, typing the command again where it ended by that."""
+    """Run a batch to its end while its processes are killed; what ended by that is typed again."""
     rng, killed, runs = random.Random(seed), Counter[str](), 0
     plan = [("head", share) for share in np.linspace(0.2, 0.7, heads)]  # by how much is done
     plan += [("command", share) for share in np.linspace(0.1, 0.8, commands)]
@@ -142,7 +144,8 @@ def different_maps(one: Path, other: Path) -> list[str]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = argparse.ArgumentParser(description=__doc__,
+                                     formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     for name, usual in {"captures": 1000, "side": 16, "workers": 2, "heads": 0, "commands": 3}.items():
         parser.add_argument(f"--{name}", type=int, default=usual)
@@ -151,15 +154,15 @@ def main() -> None:
     captures, library, quiet = (asked.folder / name for name in ("captures", "library", "quiet"))
     make_captures(captures, asked.captures, asked.side)
     start = command(captures, library, asked.side, asked.workers)
-    found = disturbed(start, library, asked.folder / "log", worker_every=asked.worker_every, heads=asked.heads,
-                      commands=asked.commands, total=asked.captures) | {"counted": counted(library)}
-    print(json.dumps(found, indent=1), flush=True)
+    noisy = disturbed(start, library, asked.folder / "log", worker_every=asked.worker_every,
+                      heads=asked.heads, commands=asked.commands, total=asked.captures)
+    began = time.monotonic()
     with (asked.folder / "quiet.log").open("ab") as words:
-        began = time.monotonic()
         subprocess.run(command(captures, quiet, asked.side, asked.workers), stdout=words, check=True)
-    found |= {"quiet": counted(quiet), "quiet seconds": round(time.monotonic() - began, 1),
-              "different maps": different_maps(quiet, library), "maps": len(list(quiet.glob("*/maps/*")))}
-    print(json.dumps(found, indent=1))
+    calm = {"seconds": round(time.monotonic() - began, 1), "different maps": different_maps(quiet, library),
+            "maps": len(list(quiet.glob("*/maps/*")))}
+    print(json.dumps({"captures": asked.captures, "side": asked.side, "disturbed": noisy | counted(library),
+                      "undisturbed": calm | counted(quiet)}, indent=1))
 
 
 if __name__ == "__main__":

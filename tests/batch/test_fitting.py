@@ -1,4 +1,4 @@
-"""A capture fitted by a worker: the same maps as `mitsvbrdf fit`, a whole result or none, and what it printed."""
+"""A capture fitted by a worker: the maps of `mitsvbrdf fit`, a whole result or none, and what it printed."""
 
 from __future__ import annotations
 
@@ -95,7 +95,8 @@ def test_sigterm_ends_a_worker_so_that_no_half_fit_counts(worker):
     assert code != 0 and len(said) == 1 and worker.results.names() == []
 
 
-@pytest.mark.parametrize("deed, memory, words", [("eat", 1.0, HELD), ("abort", None, "Fatal Python error: Aborted")])
+@pytest.mark.parametrize("deed, memory, words",
+                         [("eat", 1.0, HELD), ("abort", None, "Fatal Python error: Aborted")])
 def test_a_worker_that_dies_leaves_its_last_words(worker, deed, memory, words):
     said, code, _ = worker(deed, memory=memory)
     assert code < 0 and len(said) == 1
@@ -118,12 +119,14 @@ def test_a_worker_of_another_library_or_version_does_not_fit(worker, changes):
 
 def test_pages_change_neither_maps_nor_figures_also_of_photos_held_out(captures, tmp_path):
     record = replace(asked(captures[0], QUICK, resolution=SIDE, views="0,1,2,3,4,5,6")).record
-    bare, full = (fit_capture(captures[0], tmp_path / str(pages), record | {"pages": pages}) for pages in (False, True))
+    bare, full = (fit_capture(captures[0], tmp_path / str(pages), record | {"pages": pages})
+                  for pages in (False, True))
     assert maps_of(tmp_path / "False") == maps_of(tmp_path / "True")
     for name in ("error", "burn_in", "warnings", "method", "resolution", "photos"):
         assert getattr(bare, name) == getattr(full, name), name
     assert bare.photos == 7 and bare.held_out_error == pytest.approx(full.held_out_error, rel=1e-3)
-    assert {path.name for path in (tmp_path / "False").iterdir()} == {"maps", "uncertainty", "fit.json", "preview.jpg"}
+    written = {path.name for path in (tmp_path / "False").iterdir()}
+    assert written == {"maps", "uncertainty", "fit.json", "preview.jpg"}
     assert (bare.report, full.report, bare.preview) == (None, "report.html", "preview.jpg")
 
 

@@ -97,7 +97,8 @@ def test_it_changes_with_a_file_that_an_option_names(capture, config):
 def test_it_does_not_change_with_a_file_whose_name_is_the_value_of_an_option(capture):
     config = HierarchicalConfig(fix=("normal=flat", "roughness=0.5"))
     before = identity_of(capture, config)
-    for name in ("mitsuba", "hierarchical", "auto", "robust", "none", "flat", "0.5", "llvm_ad_rgb", "roughconductor"):
+    for name in ("mitsuba", "hierarchical", "auto", "robust", "none", "flat", "0.5", "llvm_ad_rgb",
+                 "roughconductor"):
         Path(name).write_text("mine")
     assert identity_of(capture, config) == before
 

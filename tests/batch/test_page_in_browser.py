@@ -13,7 +13,8 @@ from mitsvbrdf.batch.library import matches
 pytestmark = pytest.mark.slow
 COUNT = 600
 NAMES = "[...document.querySelectorAll('#cards .name')].map(name => name.textContent)"
-HOSTILE = ['<img src=x onerror="hit()">', "</script><script>hit()</script>", '"><svg onload=hit()>', "javascript:hit()",
+HOSTILE = ['<img src=x onerror="hit()">', "</script><script>hit()</script>", '"><svg onload=hit()>',
+           "javascript:hit()",
            "'-hit()-'", "{{ 7 * 7 }}", "\u2028\u2029\u202e", "__proto__", "${hit()}"]
 
 
@@ -52,7 +53,8 @@ def test_few_cards_stand_for_all(library, how):
         assert seen == {row["name"] for row in rows}
 
 
-@pytest.mark.parametrize("text, state", [("", "failed"), ("OLD wood", ""), ("crashed", "failed"), ("no such", ""),
+@pytest.mark.parametrize("text, state", [("", "failed"), ("OLD wood", ""), ("crashed", "failed"),
+                                         ("no such", ""),
                                          ("gan", "done"), ("façade", "")])
 def test_a_search_shows_the_rows_that_the_command_lists(library, text, state):
     rows, file = library
@@ -64,7 +66,8 @@ def test_a_search_shows_the_rows_that_the_command_lists(library, text, state):
         assert page.evaluate("shown.map(row => row.name)") == wanted
         assert page.locator("#none").is_visible() == (not wanted)
         page.reload()
-        assert page.evaluate("shown.map(row => row.name)") == wanted and page.locator("#text").input_value() == text
+        assert page.evaluate("shown.map(row => row.name)") == wanted
+        assert page.locator("#text").input_value() == text
 
 
 @pytest.mark.parametrize("field", ["error", "held_out_error", "date"])
@@ -84,7 +87,8 @@ def test_a_card_opens_its_report_or_tells_about_it(library):
     _, file = library
     with opened(file, beside=True) as page:
         page.locator("#cards .done .more").first.click()
-        assert page.locator("#details dl").is_visible() and "Held-out" in page.locator("#details").text_content()
+        assert page.locator("#details dl").is_visible()
+        assert "Held-out" in page.locator("#details").text_content()
         page.keyboard.press("Escape")
         page.locator("#cards .done a").first.click()
         assert page.locator("body").text_content().strip() == "a report"
@@ -93,7 +97,8 @@ def test_a_card_opens_its_report_or_tells_about_it(library):
 def test_strangers_names_are_text(tmp_path):
     rows = random_rows(len(HOSTILE))
     for row, name in zip(rows, HOSTILE):
-        row |= {"name": name, "state": "failed", "reason": name, "tags": [name], "source": name, "options": name,
+        row |= {"name": name, "state": "failed", "reason": name, "tags": [name], "source": name,
+                "options": name,
                 "preview": None, "report": None, "log": None}
     write_page(tmp_path, rows, title=HOSTILE[1])
     with opened(tmp_path / "index.html", beside=True) as page:
@@ -107,7 +112,8 @@ def test_a_batch_at_work_is_followed_from_disk(tmp_path):
     rows = [row | {"preview": None} for row in random_rows(60, unfinished=True)]
     write_page(tmp_path, rows, title="At work", progress="48 of 60 ended, 4 running")
     with opened(tmp_path / "index.html", beside=True) as page:
-        assert page.title() == "48 of 60 ended · At work" and "4 running" in page.locator("#progress p").text_content()
+        assert page.title() == "48 of 60 ended · At work"
+        assert "4 running" in page.locator("#progress p").text_content()
         page.locator("#text").fill("256")
         for row in rows:
             row["state"] = "done" if row["state"] != "failed" else "failed"

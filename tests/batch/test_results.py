@@ -1,4 +1,4 @@
-"""Results appear whole or not at all, in a folder and in an object store; damage is named, nothing else is touched."""
+"""Results appear whole or not at all, in a folder and in a store. Damage is named."""
 
 from __future__ import annotations
 
@@ -21,8 +21,10 @@ FOLDER = "wood-aaaaaaaa"
 # Records that say no result: of somebody else, or spoiled.
 NO_RECORDS = ("", "{", "[]", "3", "{}", '{"identity": "a"}', "\xff", "[" * 100_000, '{"identity": NaN}')
 STATED = {"identity": "a" * 64, "name": "wood", "row": {}, "files": {}}
-SPOILED = ({"row": []}, {"identity": 3}, {"row": {"error": "low"}}, {"row": {"warnings": "many"}}, {"tags": [1]},
-           {"files": {"fit.json": 3}}, {"files": {"../fit.json": {"bytes": 1, "sha256": ""}}}, {"name": "../wood"},
+SPOILED = ({"row": []}, {"identity": 3}, {"row": {"error": "low"}}, {"row": {"warnings": "many"}},
+           {"tags": [1]},
+           {"files": {"fit.json": 3}}, {"files": {"../fit.json": {"bytes": 1, "sha256": ""}}},
+           {"name": "../wood"},
            {"name": "brick"}, {"identity": "b" * 64}, {"source": "\ud800"})
 
 
@@ -31,7 +33,7 @@ def results(request, tmp_path, monkeypatch):
     """An empty library, as a folder and behind a URL."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     (tmp_path / "library").mkdir()
-    return ResultStore(str(tmp_path / "library") if request.param == "folder" else f"file://{tmp_path}/library")
+    return ResultStore(f"{'file://' * (request.param == 'store')}{tmp_path}/library")
 
 
 @pytest.fixture
@@ -62,14 +64,16 @@ def test_a_result_appears_by_one_rename_after_all_is_on_the_disk(folder, monkeyp
     monkeypatch.setattr(module.os, "rename", lambda *names: (done.append("rename"), rename(*names)))
     monkeypatch.setattr(module, "to_disk", lambda path: (done.append(path.name), sync(path)))
     publish(folder, result_of())
-    assert done.index("rename") > max(done.index(name) for name in ("diffuse.png", "fit.json", RECORD, "maps", "one"))
+    names = "diffuse.png", "fit.json", RECORD, "maps", "one"
+    assert done.index("rename") > max(map(done.index, names))
     assert not list((folder.store.folder / WORK).iterdir())
 
 
 def test_in_a_store_the_record_comes_last(tmp_path, monkeypatch):
     results, order = ResultStore(f"file://{tmp_path}/library"), []
     put = type(results.store).put
-    monkeypatch.setattr(type(results.store), "put", lambda self, file, name: (order.append(name), put(self, file, name)))
+    monkeypatch.setattr(type(results.store), "put",
+                        lambda self, file, name: (order.append(name), put(self, file, name)))
     publish(results, result_of())
     assert order[-1] == f"{FOLDER}/{RECORD}" and len(order) == len(FILES) + 1
 
@@ -128,7 +132,8 @@ def test_damage_is_named(results, harm, by_size, by_hash):
         assert ("fit.json" in results.damage(results.result(FOLDER), hashes)) == wrong
 
 
-@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/etc/passwd")], ids=["pipe", "link"])
+@pytest.mark.parametrize("make", [os.mkfifo, lambda path: path.symlink_to("/etc/passwd")],
+                         ids=["pipe", "link"])
 def test_what_is_no_file_is_damage_and_not_opened(folder, make):
     publish(folder, result_of())
     for name in ("fit.json", RECORD):
@@ -187,7 +192,8 @@ def test_a_library_that_lost_all_but_its_results_is_accepted(folder):
         assert folder.result(FOLDER)
 
 
-@pytest.mark.parametrize("name", [".lock", ".token", ".work", "library.json", "index.html", "failed", "pending"])
+@pytest.mark.parametrize("name", [".lock", ".token", ".work", "library.json", "index.html", "failed",
+                                  "pending"])
 def test_nothing_is_written_through_a_link_in_a_library(folder, tmp_path, name):
     publish(folder, result_of())
     (tmp_path / "outside").mkdir()
@@ -208,7 +214,8 @@ def test_what_is_removed_is_inside(folder, tmp_path):
     (tmp_path / "outside" / RECORD).write_text("mine")
     (folder.store.folder / FOLDER).symlink_to(tmp_path / "outside")
     folder.remove(FOLDER)
-    assert tree(tmp_path / "outside") == {RECORD: b"mine"} and not os.path.lexists(folder.store.folder / FOLDER)
+    assert tree(tmp_path / "outside") == {RECORD: b"mine"}
+    assert not os.path.lexists(folder.store.folder / FOLDER)
     (folder.store.folder / f"{WORK}-old").symlink_to(tmp_path / "outside")
     folder.clear_work()
     assert tree(tmp_path / "outside") == {RECORD: b"mine"}

@@ -30,8 +30,9 @@ def batch(tmp_path):
 
     def make(deeds=None, slots=1, retries=1, timeout=None, config=None):
         library, settings = Library(results), BatchSettings(workers=slots, retries=retries, timeout=timeout)
-        made = Batch(library, take_stock([asked(each, config) for each in shots], library, True).work, settings,
-                     "token", lambda stands, line: make.said.append(line) if line else None, "mitsvbrdf batch")
+        work = take_stock([asked(each, config) for each in shots], library, True).work
+        made = Batch(library, work, settings, "token",
+                     lambda stands, line: make.said.append(line) if line else None, "mitsvbrdf batch")
         return made, FakeTasks(results, deeds, slots)
 
     make.said, make.results = [], results
@@ -114,7 +115,8 @@ def test_a_fit_that_takes_too_long_is_killed_and_named(batch, timeout, config, m
 def test_a_full_disk_ends_it_in_order_and_the_same_goes_on(batch):
     made, tasks = batch({"pine": ["full"]})
     made.run(tasks)
-    assert "free space" in made.trouble and ended(made) == {"oak": "done", "pine": "pending", "ash": "pending"}
+    assert "free space" in made.trouble and ended(made) == {"oak": "done", "pine": "pending",
+                                                            "ash": "pending"}
     made, tasks = batch()
     made.run(tasks)
     assert ended(made) == ALL_DONE and tasks.order == ["pine", "ash"]
@@ -158,7 +160,8 @@ def test_ctrl_c_waits_for_what_runs_and_a_second_one_does_not(batch, presses, do
     assert listed["command"] == "mitsvbrdf batch"
 
 
-@pytest.mark.parametrize("about, told", [({"version": "0.1"}, "on all nodes"), ({"token": "other"}, "all nodes see")])
+@pytest.mark.parametrize("about, told", [({"version": "0.1"}, "on all nodes"),
+                                         ({"token": "other"}, "all nodes see")])
 def test_a_node_that_does_not_fit_ends_the_batch(batch, about, told):
     made, tasks = batch({"oak": ["held"]})
     events = tasks.events

@@ -12,7 +12,7 @@ from helpers.batches import asked, make_capture, publish, result_of
 from mitsvbrdf.batch import asked as asked_module
 from mitsvbrdf.batch.fitting import now
 from mitsvbrdf.batch.library import Library
-from mitsvbrdf.batch.records import Failure, Material, Result
+from mitsvbrdf.batch.records import Failure, Result
 from mitsvbrdf.batch.results import RECORD, ResultStore
 from mitsvbrdf.batch.stock import take_stock
 from mitsvbrdf.fit import HierarchicalConfig
@@ -31,8 +31,8 @@ def results(tmp_path):
 
 def stock(results, *captures, retry_failed=False):
     """What is left to do, by a command that starts anew."""
-    return take_stock([asked(each) if isinstance(each, Path) else each for each in captures], Library(results),
-                      retry_failed)
+    named = [asked(each) if isinstance(each, Path) else each for each in captures]
+    return take_stock(named, Library(results), retry_failed)
 
 
 def names(found):
@@ -48,8 +48,7 @@ def do(results, found):
 
 def fail(results, found):
     for each in found.work:
-        stated = {name: getattr(each, name) for name in Material.__struct_fields__}
-        results.settle(each.folder, Failure(**stated, state="crashed", reason="SIGSEGV"))
+        results.settle(each.folder, Failure(**each.stated(), state="crashed", reason="SIGSEGV"))
 
 
 def test_what_is_new_is_left_to_do_with_its_cost(results, shots):
@@ -80,7 +79,8 @@ def test_damage_is_noticed_kept_aside_and_done_anew(results, shots, harm, said):
     (folder,) = results.names()
     harm(results.store.folder / folder)
     found = stock(results, shots[0])
-    assert names(found) == ["oak"] and said in found.damaged[folder] and results.aside() == [f"{folder}.damaged"]
+    assert names(found) == ["oak"] and said in found.damaged[folder]
+    assert results.aside() == [f"{folder}.damaged"]
 
 
 def test_a_capture_that_changed_is_done_anew_and_hides_its_former_result(results, shots):
@@ -93,7 +93,8 @@ def test_a_capture_that_changed_is_done_anew_and_hides_its_former_result(results
     (shots[0] / "target/00.png").write_bytes(b"oak")  # back again
     for name in results.names():
         found = results.result(name)
-        results.restate(msgspec.structs.replace(found, date="2026-01-01T00:00:00Z" if name in before else "2026-01-02"))
+        date = "2026-01-01T00:00:00Z" if name in before else "2026-01-02T00:00:00Z"
+        results.restate(msgspec.structs.replace(found, date=date))
     assert stock(results, shots[0]).done == 1 and list(Library(results).shown()) == before
 
 

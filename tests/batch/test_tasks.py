@@ -48,7 +48,8 @@ def wait(until, seconds=300.0):
 
 def again(shots):
     """The same command, to its end."""
-    return subprocess.run(chaos.command(shots, Path("library"), SIDE, 2), capture_output=True, text=True).returncode
+    return subprocess.run(chaos.command(shots, Path("library"), SIDE, 2), capture_output=True,
+                          text=True).returncode
 
 
 def whole(count=8):
@@ -65,8 +66,10 @@ def listening(pids):
                 inodes.add(os.readlink(link))
             except OSError:
                 continue
-    lines = [line.split() for name in ("tcp", "tcp6") for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]]
-    return {words[1].rpartition(":")[0] for words in lines if words[3] == "0A" and f"socket:[{words[9]}]" in inodes}
+    lines = [line.split() for name in ("tcp", "tcp6")
+             for line in Path(f"/proc/net/{name}").read_text().splitlines()[1:]]
+    return {words[1].rpartition(":")[0] for words in lines
+            if words[3] == "0A" and f"socket:[{words[9]}]" in inodes}
 
 
 def folders_of_ray():

@@ -30,7 +30,8 @@ def make_capture(folder: Path, photos: Sequence[bytes] = (b"one", b"two")) -> Pa
     return folder
 
 
-def asked(capture: Path, config: FitConfig | None = None, tags: tuple[str, ...] = (), **options: object) -> Asked:
+def asked(capture: Path, config: FitConfig | None = None, tags: tuple[str, ...] = (),
+          **options: object) -> Asked:
     """A capture with what is asked for."""
     config = config or HierarchicalConfig(budget=10.0)
     return Asked(Entry(str(capture)), config, FitOptions(**options), False, tags)  # type: ignore[arg-type]
@@ -38,12 +39,12 @@ def asked(capture: Path, config: FitConfig | None = None, tags: tuple[str, ...] 
 
 def result_of(material: Material | None = None, **changes: object) -> Result:
     """A record without files; of ``wood`` where no material is given."""
-    names = Material.__struct_fields__
-    stated = {"identity": "a" * 64, "name": "wood"} if material is None else {n: getattr(material, n) for n in names}
+    stated = {"identity": "a" * 64, "name": "wood"} if material is None else material.stated()
     return Result(**({**stated, "row": ROW, "files": {}, "date": DATE} | changes))  # type: ignore[arg-type]
 
 
-def publish(results: ResultStore, result: Result, attempt: str = "one", files: Mapping[str, bytes] = FILES) -> bool:
+def publish(results: ResultStore, result: Result, attempt: str = "one",
+            files: Mapping[str, bytes] = FILES) -> bool:
     """Make a result and let it appear."""
     with results.building(attempt) as made:
         for name, content in files.items():
@@ -60,11 +61,12 @@ class FakeTasks:
 
     Args:
         results: where results appear.
-        deeds: by a capture's name, one an attempt; the last one is for all later ones; ``done`` where none is.
+        deeds: by a capture's name, one an attempt, the last one for all later ones; ``done`` by default.
         slots: how many run at a time.
     """
 
-    def __init__(self, results: ResultStore, deeds: Mapping[str, Sequence[str]] | None = None, slots: int = 1) -> None:
+    def __init__(self, results: ResultStore, deeds: Mapping[str, Sequence[str]] | None = None,
+                 slots: int = 1) -> None:
         self.results, self.slots, self.order = results, slots, list[str]()
         self.deeds = {name: deque(each) for name, each in (deeds or {}).items()}
         self.about = {"host": "here", "version": "", "token": ""}
