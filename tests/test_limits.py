@@ -38,7 +38,8 @@ def checkout(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize("name, more, told", [
     ("mitsvbrdf/b/c.py", "#\n", "mitsvbrdf: 11 lines, budget 10"),
-    ("tests/t.py", "#\n", "tests: 10 lines, budget 0.9 of the 10"), ("docs/page.md", "more", "docs/page.md: 4 words")])
+    ("tests/t.py", "#\n", "tests: 10 lines, budget 0.9 of the 10"),
+    ("docs/page.md", "more", "docs/page.md: 4 words")])
 def test_a_broken_budget_is_told(name, more, told, checkout):
     assert not list(over_budget(checkout))
     with (checkout / name).open("a") as file:

@@ -119,7 +119,8 @@ def series(record: dict) -> pd.DataFrame:
     cells: dict[str, dict[str, str]] = {"condition": {}, "attainable": {}}
     for r in rows:
         middle, rank = r["condition"]["median"], f"rank {r['condition']['rank']} of 9"
-        cells["condition"][r["name"]] = rank if middle is None else f"{middle:.{'2e' if middle >= 1000 else '3g'}}"
+        cells["condition"][r["name"]] = (rank if middle is None
+                                         else f"{middle:.{'2e' if middle >= 1000 else '3g'}}")
         cells["attainable"][r["name"]] = f"{r['attainable']['mean']:.3f}"
         cells.setdefault(label(r), {})[r["name"]] = f"{r['errors']['mean']:.3f} {verdict(r)}"
     return pd.DataFrame(cells).fillna("–")

@@ -29,7 +29,8 @@ CLAMPS = {
                        "roughness 0.01 the image stays as it is there, and the gradient of roughness is 0.",
     "alpha >= 0.001": "`principled`: the plugin's own end. Below roughness 0.0316 only the diffuse lobe "
                       "answers to roughness.",
-    "index for F0 in [1e-06, 0.999]": "Away from the camera F follows a refractive index, infinite at F0 = 1. "
+    "index for F0 in [1e-06, 0.999]": "Away from the camera F follows a refractive index, infinite at F0 = "
+                                      "1. "
                                       "Beyond these ends F is proportional to F0, and keeps a slope.",
     "toe of gamma 2.2": "The power curve is vertical at 0. Below 2e-06 it is its chord.",
     "burnt-out photos": "A photo value from 0.995 on says at least this bright: gradient 0 where the "

@@ -27,10 +27,8 @@ from .fixed_maps import described
 from .options import config_of
 from .record import FILE, SCHEMA_VERSION, Fact, checked, missing, record_in
 
-# Fields of the record that :meth:`Fit.but` changes there.
-_FACTS = {"rerender_rmse", "calibrated_rmse", "renderer", "variant", "warnings", "stopped", "trace",
-          "profile"}
-
+_FACTS = ("rerender_rmse", "calibrated_rmse", "renderer", "variant", "warnings", "stopped", "trace",
+          "profile")  # fields of the record that :meth:`Fit.but` changes there
 T = TypeVar("T")
 
 
@@ -75,10 +73,7 @@ class Fit:
 
     @staticmethod
     def load(folder: str | Path) -> Fit:
-        """A whole fit from its folder.
-
-        Args:
-            folder: the OUT of a fit.
+        """A whole fit from its folder, the OUT of a fit.
 
         Raises:
             MapsError: it is none, or not a whole one.

@@ -3,8 +3,8 @@
     python tests/batch/chaos.py FOLDER --captures 1000 --side 16 --worker-every 20 --heads 0 --commands 3
 
 makes captures in FOLDER/captures, fits them into FOLDER/library while it kills, fits them again undisturbed
-into FOLDER/quiet, compares every map, and prints as JSON what it counted: "chaos" of docs/results/batch.json. A
-test does the same with few captures.
+into FOLDER/quiet, compares every map, and prints as JSON what it counted: "chaos" of docs/results/batch.json.
+A test does the same with few captures.
 """
 
 from __future__ import annotations

@@ -53,7 +53,8 @@ def test_tasks_are_found_by_name(data):
 
 def test_a_perfect_fit_has_no_error_and_a_wrong_one_has(data):
     task = known_material("builtin:inlay", 16, GRID, ANALYTIC)
-    right, wrong = (task.errors(found, lambda shots: 0.25) for found in (task.truth, make_material("plates", 16)))
+    right, wrong = (task.errors(found, lambda shots: 0.25) for found in (task.truth,
+                                                                         make_material("plates", 16)))
     assert right["mean"] == 0 and right["novel_light"] < 1e-6 and right["photos"] == 0.25
     assert wrong["mean"] > 0.05 and wrong["novel_light"] > 0.05
 

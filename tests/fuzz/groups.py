@@ -144,7 +144,8 @@ def fits() -> Drawn[Case]:
 def folders() -> Drawn[Case]:
     """What lies where a result is to be written: links, pipes, manifests that name files of others."""
     def of(out: str, parts: str, files: str, *calls: str) -> Drawn[Case]:
-        hidden = ".partial .partial/.lock .partial/.mitsvbrdf .partial/.earlier .mitsvbrdf .partial/checkpoint.safetensors to "
+        hidden = (".partial .partial/.lock .partial/.mitsvbrdf .partial/.earlier .mitsvbrdf "
+                  ".partial/checkpoint.safetensors to ")
         places = replaced(*(f"{out}/{name}" for name in (hidden + files).split()))
         listed = st.lists(names, max_size=5).map(json.dumps)
         manifest = change("put", path=f"{out}/.mitsvbrdf", text=listed)
@@ -174,20 +175,23 @@ def relights() -> Drawn[Case]:
                                                                       ".mitsvbrdf"))),
                      change("state", path=path, steps=st.just([2, 0, 1, 0, 1]), raw=names.map(json.dumps)))
     light = st.sampled_from(("in/exr/diffuse.exr", "in/exr/light.hdr"))
+    lit = f"relight ../in/fit -o out --explain {RELIT} --environment ../"
     return st.one_of(
         cases("relight", "fit relit", ways, f"relight ../in/fit -o ../in/relit --resume {RELIT}",
               out="in/relit", most=2),
         light.flatmap(lambda path: cases("relight", "fit exr maps", pictures(path, path, "in/maps", "in/exr"),
-                                         f"relight ../in/fit -o out --environment ../{path} --explain {RELIT}", most=2)))
+                                         lit + path, most=2)))
 
 
 def libraries() -> Drawn[Case]:
     """The records of a library's results, and what it writes beside them."""
     index = "in/library/library.json"
     ways = st.one_of(spoiled("in/library"), stated(index), stated("in/library/wood-*/batch.json"),
-                     stated("in/library/stone-*/batch.json"), replaced(index, "in/library/.lock", "in/library/.token"))
+                     stated("in/library/stone-*/batch.json"), replaced(index, "in/library/.lock",
+                                                                       "in/library/.token"))
     quick = [f"library ../in/library{words}" for words in ("", " --json", " --search wood", " --verify")]
-    looking = cases("library", "library", ways, *quick, *quick, "library ../in/library --export materialx -o out")
+    looking = cases("library", "library", ways, *quick, *quick, "library ../in/library --export materialx "
+                                                                "-o out")
     return st.one_of(looking, looking, cases("library", "library capture", ways,
                                              "library ../in/library --prune",
                                              f"batch ../in/capture -o ../in/library {FIT}", out="in/library"))

@@ -1,6 +1,7 @@
 """Commands killed at every point of their work on the disk: a script, which forks a process for each point.
 
-    python kill_points.py SHAPE FOLDER      what each point left, and what the next command made of it, as JSON
+    python kill_points.py SHAPE FOLDER      what each point left, and what the next command made of it, as
+    JSON
 
 It imports what writes results and nothing that fits, so that a point takes milliseconds.
 """
@@ -24,7 +25,8 @@ from mitsvbrdf.io import files, results
 # a point to be killed at like the others; none of this has to outlive a power cut
 os.fsync = lambda descriptor: None
 CALLS = ("replace", "rename", "unlink", "rmdir", "mkdir", "link", "fsync")
-FIT = dict.fromkeys(("maps/a.exr", "maps/b.exr", "look/deep/x.exr", "fit.json", "checkpoint.safetensors"), "1")
+FIT = dict.fromkeys(("maps/a.exr", "maps/b.exr", "look/deep/x.exr", "fit.json", "checkpoint.safetensors"),
+                    "1")
 REFIT = dict.fromkeys(("maps/a.exr", "maps/c.exr", "photos/00.png", "fit.json", "checkpoint.safetensors",
                        "sheet.png"), "2")
 FRAMES = {"relight.json": "1", "sweep/0000.exr": "1"}
@@ -92,8 +94,8 @@ class Shape:
             write(folder, self.new)
 
     def found(self, out: Path) -> dict:
-        """What a reader finds, what a command leaves that is to replace it but comes to nothing, and what lies
-        beside it after that.
+        """What a reader finds, what a command leaves that is to replace it but comes to nothing, and what
+        lies beside it after that.
         """
         if self.batch:
             return after_publishing(out)

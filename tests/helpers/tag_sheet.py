@@ -32,8 +32,8 @@ def photograph(path, pose, lens=LENS, depth=0.0, picture=None, glare=None, exif=
     # 0.8 pixels of the photo, so that one sample a pixel is enough
     sharp = cv2.GaussianBlur(picture, (0, 0), 2.5)
     width, height = lens.size
-    at = on_plane(lens, pose, np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1,
-                                                                                                          2), depth)
+    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1).reshape(-1, 2)
+    at = on_plane(lens, pose, pixels, depth)
     where = (at * (1, -1) / SHEET.outer + 0.5) * len(picture) - 0.5
     seen = cv2.remap(sharp, where.reshape(height, width, 2).astype(np.float32), None, cv2.INTER_LINEAR,
                      borderMode=cv2.BORDER_CONSTANT, borderValue=(70,)) / 255.0

@@ -43,6 +43,7 @@ def canvas_picture(page) -> np.ndarray:
 
 def looked(page, **options) -> dict:
     """What the viewer draws with these options, and how; ``data`` is size x size x 4, row 0 at the top."""
-    code = "options => { const it = mitsvbrdfViewer.pixels(options); return {...it, data: Array.from(it.data)}; }"
+    code = ("options => { const it = mitsvbrdfViewer.pixels(options); "
+            "return {...it, data: Array.from(it.data)}; }")
     found = page.evaluate(code, options)
     return found | {"data": np.array(found["data"]).reshape(found["size"], found["size"], 4)}
