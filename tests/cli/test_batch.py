@@ -32,6 +32,7 @@ def test_a_ray_that_is_broken_is_told_and_leaves_no_library(tmp_path, capsys, mo
     broken = tmp_path / "site/ray/__init__.py"
     broken.parent.mkdir(parents=True)
     broken.write_text("raise ImportError('libray.so: wrong ELF class')\n")
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
     monkeypatch.delitem(sys.modules, "ray", raising=False)
     monkeypatch.syspath_prepend(tmp_path / "site")
     shots, earlier = make_capture(tmp_path / "shots/wood"), tmp_path / "earlier"
