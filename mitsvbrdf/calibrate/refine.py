@@ -173,7 +173,7 @@ def moved(views: Views, change: Tensor) -> Views:
 
 
 class Linear(NamedTuple):
-    """The cost at u: value, gradient and Gauss-Newton matrix, and the evidence used for it."""
+    """Value, gradient and Gauss-Newton matrix of the cost at u, and the evidence they were computed with."""
 
     u: Tensor
     evidence: tuple[Tensor, Tensor]

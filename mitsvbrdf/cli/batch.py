@@ -37,8 +37,8 @@ TOLD = 20  # failures that are told one by one
 
 
 def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="captures", help=(
-              "Captures, folders of captures, patterns, URLs, or lists: text files with a capture and its "
-              "own options a line. - is a list on standard input."), help_behavior_hint="(required)")],
+              "Captures, folders of captures, patterns, URLs, or lists. A line of a list is a capture with "
+              "its own options. - reads a list from standard input."), help_behavior_hint="(required)")],
           out: Annotated[str, arg(aliases=["-o"], metavar="LIBRARY", help=(
               "The library: a folder that all workers see, or a URL like s3://bucket/library."))],
           config: FitConfig, shared: OmitArgPrefixes[FitOptions] = USUAL,

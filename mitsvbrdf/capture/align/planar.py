@@ -1,6 +1,7 @@
 """Where cameras stood over an unknown plane: a start from homographies, and bundle adjustment.
 
-A pixel of one photo is carried to the plane and into another photo, so the plane's points are no unknowns.
+A pixel of one photo is projected onto the plane, and from there into another photo. The plane's points
+need not be solved for.
 Unknown are the lens (focal length, distortion) and a pose of each photo. The frame is that of one photo, the
 hub: above the origin at height 1, the world's x along its own.
 

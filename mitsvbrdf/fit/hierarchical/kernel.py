@@ -1,4 +1,4 @@
-"""The kernel of the texel solver: what one thread computes for its texel.
+"""The kernel of the texel solver, written for one texel; Dr.Jit runs one thread for each.
 
 Everything here is traced by Dr.Jit: lists hold a value for each unknown, and each value is an array over all
 texels.
