@@ -5,9 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-import shlex
-from collections.abc import Iterator
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +13,7 @@ from .. import __version__
 from ..capture.photo import SUFFIXES
 from ..fit.config import FitConfig, HierarchicalConfig
 from ..fit.fixed_maps import named_files
-from ..fit.methods import METHODS, method_name
+from ..fit.methods import METHODS
 from ..fit.options import FitOptions, config_record
 from ..io.files import file_hash
 from ..io.json import load
@@ -23,14 +21,7 @@ from .captures import Entry, is_calibrated
 from .stores import Store, is_url
 
 CALIBRATION_FILES = ("capture.json", "camera_pos.txt", "image_size.txt", "light_power.txt", "light_pos.txt")
-TYPICAL_SECONDS = 35.0  # of the default fit: nine photos, 256 px, one thread
-PHOTOS = 9  # of a capture whose files are not at hand
-ENDLESS = 3600.0  # seconds, of a fit that ends after iterations
-# A limit must not end a fit that goes on, on a machine ten times slower than where these were measured, and
-# on one thread.
-SLOWEST = 10.0
-# seconds beside the budget: reading and writing; a capture of raw photos; 80 steps of the finish
-BESIDE, RAW, FINISH = 18.0, 60.0, 60.0
+PATIENCE = 3600.0  # seconds beside the budget, for a large capture on a machine ten times slower than ours
 BUDGETS = 3.0  # a fit looks at the clock between steps, and the last of them may be long
 
 
@@ -56,17 +47,15 @@ class Asked:
     sheet: float | None = None
     strict: bool = False
 
-    def settled(self) -> Asked:
-        """Itself without options that change nothing: nobody looks for a sheet in a calibrated capture."""
-        if self.sheet is not None and is_calibrated(self.entry.source):
-            return replace(self, sheet=None)
-        return self
-
     @property
     def record(self) -> dict:
-        """What a worker is told, and what the identity is made of."""
+        """What a worker is told, and what the identity is made of.
+
+        A sheet belongs to raw photos alone: nobody looks for one in a calibrated capture.
+        """
+        sheet = None if self.sheet is None or is_calibrated(self.entry.source) else self.sheet
         return {"config": config_record(self.config), "options": asdict(self.options), "pages": self.pages,
-                "sheet": self.sheet, **({"strict": True} if self.strict else {})}
+                "sheet": sheet, "strict": self.strict}
 
     @property
     def identity(self) -> str:
@@ -83,50 +72,34 @@ class Asked:
             files_of = capture_files(Path(source))
             contents = [[os.path.relpath(path, source), file_hash(path)] for path in files_of]
         named = [[name, file_hash(Path(name))] for name in files if os.path.isfile(name)]
-        return _hash([__version__, self.record, contents, named])
-
-    @property
-    def identity_of_unreadable(self) -> str:
-        """A hash of address and options, in the place of the identity where photos cannot be read."""
-        return _hash([__version__, self.record, self.entry.source, "unreadable"])
+        known = json.dumps([__version__, self.record, contents, named], sort_keys=True)
+        return hashlib.sha256(known.encode()).hexdigest()
 
     @property
     def words(self) -> str:
-        """The options that are not the defaults, as they are typed; without tags."""
-        method, kind = method_name(self.config), type(self.config)
-        preset: Any = getattr(self.config, "preset", None)
-        usual: Any = kind(preset=preset) if preset else kind()  # type: ignore[call-arg]
-        found = ["--method", method] * (method != next(iter(METHODS)))
-        found += ["--preset", preset] * (preset != getattr(kind(), "preset", None))
-        found += [*_changed(self.config, usual), *_changed(self.options, FitOptions())]
-        found += ["--pages", "none"] * (not self.pages) + ["--strict"] * self.strict
-        return shlex.join([*found, *([] if self.sheet is None else ["--sheet", _typed(self.sheet)])])
+        """The options that are not the defaults: ``resolution=512, seed=3``; without tags."""
+        preset: Any = {"preset": found} if (found := getattr(self.config, "preset", None)) else {}
+        usual = Asked(self.entry, type(self.config)(**preset), FitOptions(), True, ()).record
+        known = usual | usual["config"] | usual["options"] | {"method": next(iter(METHODS)), "preset": None}
+        given = self.record["config"] | self.record["options"] | self.record
+        return ", ".join(f"{name}={value}" for name, value in given.items()
+                         if name not in ("config", "options") and value != known.get(name))
 
     @property
     def cost(self) -> float:
-        """A guess of its seconds, to begin with the largest."""
-        limit = self.config.limited()
+        """A guess of its seconds, to begin with the largest: the default fit takes 4 s a photo of 256 px."""
+        budget, photos = self.config.limited().budget or PATIENCE, 9
         if not isinstance(self.config, HierarchicalConfig):
-            return limit.budget or ENDLESS
-        typical = TYPICAL_SECONDS * self._photos / PHOTOS * (self.options.resolution / 256) ** 2
-        return min(limit.budget or ENDLESS, typical)
+            return budget
+        if not is_url(self.entry.source):
+            photos = sum(path.suffix.lower() in SUFFIXES for path in capture_files(Path(self.entry.source)))
+        return min(budget, 4.0 * photos * (self.options.resolution / 256) ** 2)
 
     @property
     def limit(self) -> float | None:
         """Seconds after which it counts as hanging; None for a fit that ends after iterations."""
-        budget, more = self.config.limited().budget, max(1.0, self._photos / PHOTOS)
-        if budget is None:
-            return None
-        steps = self.options.detail_steps / 80 if self.options.detail != "none" else 0.0
-        texels = max(1.0, (self.options.resolution / 256) ** 2)
-        raw = RAW * (is_url(self.entry.source) or not is_calibrated(self.entry.source))
-        return SLOWEST * (BESIDE * texels * more + raw * more + FINISH * texels * steps) + BUDGETS * budget
-
-    @property
-    def _photos(self) -> int:
-        if is_url(self.entry.source):
-            return PHOTOS
-        return sum(path.suffix.lower() in SUFFIXES for path in capture_files(Path(self.entry.source)))
+        budget = self.config.limited().budget
+        return None if budget is None else PATIENCE + BUDGETS * budget
 
 
 def capture_files(source: Path) -> list[Path]:
@@ -142,24 +115,3 @@ def capture_files(source: Path) -> list[Path]:
               and path.name[0] != "."]
     return sorted({path for path in inside if path == source or path.name in CALIBRATION_FILES
                    or path.suffix.lower() in SUFFIXES})
-
-
-def _hash(value: object) -> str:
-    return hashlib.sha256(json.dumps(value, sort_keys=True).encode()).hexdigest()
-
-
-def _changed(settings: Any, usual: Any) -> Iterator[str]:
-    """The settings that are not the usual ones, as options and values."""
-    for field in fields(settings):
-        value, option = getattr(settings, field.name), field.name.replace("_", "-")
-        if value == getattr(usual, field.name):
-            continue
-        if isinstance(value, bool):
-            yield f"--{'' if value else 'no-'}{option}"
-        else:
-            for each in value if isinstance(value, tuple) else (value,):
-                yield from (f"--{option}", _typed(each))
-
-
-def _typed(value: object) -> str:
-    return str(value).removesuffix(".0") if isinstance(value, float) else str(value)

@@ -7,14 +7,14 @@ from __future__ import annotations
 
 import contextlib
 import glob
-import io
 import os
+import re
 import shlex
 import sys
 import tempfile
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from ..capture.photo import SUFFIXES
 from ..color import Transfer
@@ -44,8 +44,6 @@ class Entry(NamedTuple):
 class Mistakes:
     """Gathers mistakes, so that all are told at once."""
 
-    TOLD = 20  # of more, only the number
-
     def __init__(self) -> None:
         self.found: dict[str, MitsvbrdfError] = {}  # by its words: all captures of one line share a mistake
 
@@ -64,9 +62,7 @@ class Mistakes:
         if len(self.found) == 1:
             raise next(iter(self.found.values()))
         if self.found:
-            more = len(self.found) - self.TOLD
-            lines = [*list(self.found)[:self.TOLD], *([f"and {more} more"] if more > 0 else [])]
-            raise ConfigError("no mistakes", str(len(self.found)), "\n  ".join(["mend them:", *lines]))
+            raise ConfigError("no mistakes", str(len(self.found)), "\n  ".join(["mend them:", *self.found]))
 
 
 def captures(names: Sequence[str], mistakes: Mistakes) -> list[Entry]:
@@ -167,24 +163,21 @@ def _expanded(name: str, mistakes: Mistakes, own: tuple[str, ...] = (), where: s
     if PATTERN & set(name) and not path.exists():
         matches = sorted(glob.glob(str(path)))
         if not matches:
-            raise _wrong("captures that match", f"none like {name}", where)
+            raise CaptureError("captures that match", f"none like {name}", "check the name")
         for match in matches:
             if os.path.isdir(match) or name.endswith(".json") or not where and not match.endswith(".json"):
                 yield from _expanded(match, mistakes, own, where)
     elif path.is_dir():
-        yield from (Entry(os.path.realpath(folder), own, where) for folder in _captures_in(path, where))
+        yield from (Entry(os.path.realpath(folder), own, where) for folder in _captures_in(path))
     elif path.suffix.lower() == ".json" and path.is_file():
         yield Entry(os.path.realpath(path), own, where)
-    elif not where and name == "-":
-        lines = _lines("standard input", sys.stdin.buffer.read)
-        yield from _listed(lines, "standard input", Path(), mistakes)
-    elif not where and path.is_file():
-        yield from _listed(_lines(name, path.read_bytes), name, path.parent, mistakes)
+    elif not where and (name == "-" or path.is_file()):
+        yield from _listed(name, mistakes)
     else:
-        raise _wrong("a folder of photos or a list file", f"nothing at {name}", where)
+        raise CaptureError("a folder of photos or a list file", f"nothing at {name}", "check the name")
 
 
-def _captures_in(folder: Path, where: str) -> list[Path]:
+def _captures_in(folder: Path) -> list[Path]:
     """The folder itself where it is a capture, else the captures right inside it; none of a library."""
     if (folder / TOKEN).is_file():
         return []
@@ -193,7 +186,8 @@ def _captures_in(folder: Path, where: str) -> list[Path]:
     inside = sorted(each for each in folder.iterdir() if each.is_dir() and each.name[0] != "."
                     and _folder_is_capture(each))
     if not inside:
-        raise _wrong("a capture, or a folder of captures", f"{folder}, which has no photos", where)
+        raise CaptureError("a capture, or a folder of captures", f"{folder}, which has no photos",
+                           "check the name")
     return inside
 
 
@@ -205,51 +199,37 @@ def _folder_is_capture(folder: Path) -> bool:
 
 
 def _behind(url: str) -> list[str]:
-    """The captures that a URL stands for: itself, those right inside it, or those that match its pattern."""
-    store, found = Store(url.removesuffix("/capture.json")), list[str]()
+    """The captures that a URL stands for: itself, or those right inside it."""
+    store = Store(url.removesuffix("/capture.json"))
     with contextlib.suppress(FileNotFoundError), store.reached():
-        for folder in store.matches():
-            names, folders = store.listed(folder)
-            inside = [folder] if is_capture(names) else [
-                f"{folder}/{name}" for name in sorted(folders)
-                if name[0] != "." and is_capture(store.listed(f"{folder}/{name}")[0])]
-            found += map(store.fs.unstrip_protocol, inside)
-    if not found:
-        raise CaptureError("captures", f"none at {url}", "check the address")
-    return found
+        names, folders = store.listed()
+        inside = (f"{store.address.rstrip('/')}/{name}" for name in sorted(folders) if name[0] != ".")
+        found = [store.address] if is_capture(names) else [each for each in inside
+                                                           if is_capture(Store(each).listed()[0])]
+        if found:
+            return found
+    raise CaptureError("captures", f"none at {url}", "check the address")
 
 
-def _lines(name: str, read: Callable[[], bytes]) -> list[str]:
+def _listed(name: str, mistakes: Mistakes) -> Iterator[Entry]:
+    """The entries of a list; a relative path starts where the list lies. ``-`` is standard input."""
+    path, called = Path(os.path.expanduser(name)), "standard input" if name == "-" else name
     try:
-        return read().decode("utf-8-sig").splitlines()  # some editors begin a file with a mark
+        text = (sys.stdin.buffer.read() if name == "-" else path.read_bytes()).decode("utf-8-sig")
     except (OSError, ValueError) as reason:
-        raise CaptureError("a list of captures, one a line", f"{name}: {reason}",
+        raise CaptureError("a list of captures, one a line", f"{called}: {reason}",
                            "write it as UTF-8 text") from None
-
-
-def _listed(lines: Iterable[str], name: str, base: Path, mistakes: Mistakes) -> Iterator[Entry]:
-    """The entries of a list; a relative path starts where the list lies."""
-    for number, line in enumerate(lines, 1):
-        where = f"line {number} of {name}"
+    for number, line in enumerate(text.splitlines(), 1):
+        where = f"line {number} of {called}"
         with mistakes.gathered(where):
-            if words := _words(line, where):
-                source = words[0] if is_url(words[0]) else str(base / os.path.expanduser(words[0]))
+            if words := _words(line):
+                source = words[0] if is_url(words[0]) else str(path.parent / os.path.expanduser(words[0]))
                 yield from _expanded(source, mistakes, tuple(words[1:]), where)
 
 
-def _words(line: str, where: str) -> list[str]:
-    """Split as a shell does; ``#`` begins a remark where a word begins, and is a letter inside of one."""
-    stream = io.StringIO(line)
-    lexer: Any = shlex.shlex(stream, posix=True)
-    lexer.whitespace_split, lexer.commenters = True, ""
-    words = []
-    while (rest := line[stream.tell():].lstrip()) and rest[0] != "#":
-        try:
-            words.append(lexer.get_token() or "")
-        except ValueError as reason:
-            raise ConfigError("a capture and its options", f"{where}: {reason}", "close the quotes") from None
-    return words
-
-
-def _wrong(expected: str, got: str, where: str) -> CaptureError:
-    return CaptureError(expected, f"{got} ({where})" if where else got, "check the name")
+def _words(line: str) -> list[str]:
+    """Split as a shell does; a ``#`` at the beginning of a word begins a remark."""
+    try:
+        return shlex.split(re.sub(r"(^|\s)#.*", "", line))
+    except ValueError as reason:
+        raise ConfigError("a capture and its options", str(reason), "close the quotes") from None

@@ -5,6 +5,7 @@ const EVERY = 5000;  // ms between two looks at the data of a batch that is at w
 const GAP = 12, LEAST = 160, BELOW = 84;  // pixels: between cards, the least side of a picture, text below it
 const $ = (id) => document.getElementById(id);
 const view = { q: "", state: "", sort: "name", down: "" };
+const LINKS = ["preview", "report", "log"];
 let rows = [], shown = [], cards = new Map(), columns = 1, side = LEAST, frame = 0;
 history.scrollRestoration = "manual";
 
@@ -18,20 +19,18 @@ const number = (x, digits = 4) => x == null ? null : x.toPrecision(digits).repla
 const count = (n) => n.toLocaleString("en");
 const clock = (date) => date && new Date(date).toLocaleString([], { dateStyle: "medium", timeStyle: "short" });
 const seconds = (s) => s == null ? null : s < 90 ? `${s.toPrecision(2)} s` : `${Math.round(s / 60)} min`;
-const gib = (bytes) => bytes ? `${(bytes / 2 ** 30).toFixed(2)} GiB` : null;
 const TOLD = { error: (x) => `error ${number(x, 2)}`, held_out_error: (x) => `held out ${number(x, 2)}`, burn_in: (x) => `burn-in ${number(x, 2)}`, seconds, date: clock,
-  peak_bytes: gib, attempts: (n) => `${n} attempt${n === 1 ? "" : "s"}` };
+  attempts: (n) => `${n} attempt${n === 1 ? "" : "s"}` };
 
 // ---- Data --------------------------------------------------------------------------------------------------------------
 function take(data) {
-  const names = Object.keys(data.columns), counts = {};
-  rows = data.columns.name.map((_, i) => {
-    const row = {};
-    for (const name of names) row[name] = data.columns[name][i];
+  const counts = {};
+  rows = data.materials;
+  for (const row of rows) {
     row.key = row.folder + row.state;
+    for (const link of LINKS) row[link] &&= row[link].split("/").map(encodeURIComponent).join("/");
     counts[row.state] = (counts[row.state] ?? 0) + 1;
-    return row;
-  });
+  }
   for (const card of cards.values()) card.remove();
   cards = new Map();
   for (const option of $("state").options) {
@@ -39,17 +38,15 @@ function take(data) {
     option.textContent = `${option.textContent.replace(/ \(.*/, "")} (${count(n)})`;
   }
   $("made").textContent = `As of ${clock(data.made)} · mitsvbrdf ${data.version}`;
-  const [bar, words, command] = $("progress").children;
-  $("progress").hidden = !data.progress && !data.command;
+  const [bar, words] = $("progress").children, left = counts.running || counts.pending;
+  $("progress").hidden = !data.progress && !left;
   bar.replaceChildren(...Object.entries(counts).map(([state, n]) => {
     const part = make("i", { class: state });
     part.style.width = `${100 * n / rows.length}%`;
     return part;
   }));
   bar.setAttribute("aria-label", Object.entries(counts).map(([state, n]) => `${count(n)} ${state}`).join(", "));
-  words.textContent = data.progress || "Stopped with captures left; the same command goes on:";
-  command.hidden = !!data.progress || !data.command;
-  command.textContent = data.command ?? "";
+  words.textContent = data.progress || "Stopped with captures left; the same command goes on.";
   document.title = (data.progress ? `${data.progress.split(",")[0]} · ` : "") + data.title;
   if (data.progress) setTimeout(look, EVERY);
 }
@@ -144,7 +141,7 @@ function showDetails(row) {
     .filter(([, to]) => to).map(([name, to]) => make("a", { href: to }, name)));
   const facts = { State: row.state, Reason: row.reason, Warnings: row.warnings?.join("\n"), Error: number(row.error),
     "Held-out error": number(row.held_out_error), "Burn-in": number(row.burn_in), Time: seconds(row.seconds),
-    Memory: gib(row.peak_bytes), Attempts: row.attempts, Date: clock(row.date), Method: row.method,
+    Attempts: row.attempts, Date: clock(row.date), Method: row.method,
     Resolution: row.resolution && `${row.resolution} px`, Photos: row.photos, Tags: row.tags?.join(", "),
     Source: row.source, Options: row.options, Host: row.host, Folder: row.folder };
   list.replaceChildren(...Object.entries(facts).filter(([, value]) => value != null && value !== "")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import faulthandler
 import os
-import resource
 import signal
 import socket
 import sys
@@ -25,11 +24,10 @@ import msgspec
 from .. import __version__
 from ..errors import MitsvbrdfError, plain_warnings, strict
 from .captures import TOKEN, local_capture, rectified
-from .records import Pending, Result, Row
+from .records import Material, Row
 from .results import NO_SPACE, WORK, ResultStore
 
 if TYPE_CHECKING:
-    from ..capture import Capture
     from ..material.maps import SVBRDF
     from ..render import Renderer
 
@@ -38,7 +36,7 @@ LOG_CHARACTERS = 20_000  # of what a fit printed, kept where it fails
 LOOK_SECONDS = 0.2  # between two looks at memory
 HELD = "killed when it held"  # the words of a worker before it ends itself
 
-SIDE = 192  # pixels a side of a preview; smaller maps are enlarged
+SIDE = 192  # pixels a side of a preview, at most
 # of the patch: a highlight on it, and light aslant that shows relief
 LIGHTS = ((-0.35, 0.35, 1.3), (0.9, 0.5, 1.2))
 CAMERA = (0.0, 0.0, 2.2)
@@ -55,7 +53,7 @@ def fit_task(task: dict) -> Iterator[dict]:
     does not fit.
 
     Args:
-        task: ``library``, ``token``, ``version``, ``material`` (a Pending as JSON holds it), ``attempt`` (its
+        task: ``library``, ``token``, ``version``, ``material`` (as JSON holds it), ``attempt`` (its
             name), ``threads``, ``memory`` in GiB or None.
     """
     results = ResultStore(task["library"])
@@ -67,7 +65,7 @@ def fit_task(task: dict) -> Iterator[dict]:
     yield {"host": socket.gethostname(), "version": __version__, "token": token}
     if (token, __version__) != (task["token"], task["version"]):
         return
-    material = msgspec.convert(task["material"], Pending)
+    material = msgspec.convert(task["material"], Material)
     with _printed(results, task["attempt"]) as log, _memory_limit(task["memory"]), plain_warnings():
         found = _outcome(results, material, task["attempt"])
         sys.stdout.flush()
@@ -76,7 +74,7 @@ def fit_task(task: dict) -> Iterator[dict]:
     yield found | {"log": text}
 
 
-def _outcome(results: ResultStore, material: Pending, attempt: str) -> dict:
+def _outcome(results: ResultStore, material: Material, attempt: str) -> dict:
     """Fit into the library; what the fit raises is told."""
     try:
         _fit_into(results, material, attempt)
@@ -92,17 +90,15 @@ def _outcome(results: ResultStore, material: Pending, attempt: str) -> dict:
         return {"state": "failed", "reason": f"{type(reason).__name__}: {reason}"}
 
 
-def _fit_into(results: ResultStore, material: Pending, attempt: str) -> None:
+def _fit_into(results: ResultStore, material: Material, attempt: str) -> None:
     started = time.perf_counter()
     with contextlib.suppress(OSError):  # paths in the options start there
         os.chdir(material.base)
     with (results.building(attempt) as made, local_capture(material.source) as capture,
           strict(material.asked.get("strict", False))):
         row = fit_capture(capture, made, material.asked)
-        row = msgspec.structs.replace(row, seconds=round(time.perf_counter() - started, 3),
-                                      peak_bytes=_memory()["VmHWM"])
-        stated = material.stated() | {"date": now()}
-        results.publish(made, Result(**stated, host=socket.gethostname(), row=row, files={}))
+        row = msgspec.structs.replace(row, seconds=round(time.perf_counter() - started, 3))
+        results.publish(made, material.but(date=now(), host=socket.gethostname(), row=row))
 
 
 def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
@@ -135,32 +131,18 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
         result = with_detail(result, shots, engine, settings)
     write_fit_files(result, shots, out, options.record(shots), shown, pages=asked["pages"])
     write_preview(out / "preview.jpg", result.detail or result.svbrdf)
-    return _row(out, shown, engine)
+    return _row(out)
 
 
-def _row(folder: Path, shown: Capture | None, engine: Renderer) -> Row:
-    """What the list of materials says of a fit; ``shown`` has photos that were held out, which ``engine``
-    predicts.
-    """
-    from ..evaluate import placed
-    from ..evaluate.placement import predict
+def _row(folder: Path) -> Row:
+    """What the list of materials says of a fit; the error of held-out photos stands on its page alone."""
     from ..fit.record import record_in
-    from ..fit.result import Fit
     from ..io.json import load
 
-    record, error = record_in(folder), None
-    if (folder / "report.json").is_file():
-        error = load(folder / "report.json")["held_out_rmse"]
-    elif shown is not None:
-        fit = Fit.of_maps(folder)
-        around = placed(shown, fit)
-        unseen = around.pick([number for number in around.index if number not in fit.seen])
-        error = predict(fit.svbrdf, unseen, engine, fit.flash_offset)[1]
+    record, page = record_in(folder), folder / "report.json"
     burn_in = [value for name, value in record["burn_in"].items() if name in ("specular", "roughness")]
-    there = {name: name if (folder / name).is_file() else None for name in ("preview.jpg", "report.html")}
-    return Row(error=record["rerender_rmse"], held_out_error=error, burn_in=max(burn_in, default=None),
-               warnings=record["warnings"], method=record["method"], preview=there["preview.jpg"],
-               report=there["report.html"], resolution=record["capture"]["resolution"],
+    return Row(error=record["rerender_rmse"], burn_in=max(burn_in, default=None), warnings=record["warnings"],
+               held_out_error=load(page)["held_out_rmse"] if page.is_file() else None,
                photos=len(record["capture"]["photos"]))
 
 
@@ -182,8 +164,6 @@ def write_preview(path: Path, svbrdf: SVBRDF) -> None:
     level = float(radiance.mean(dim=-1).quantile(BRIGHT)) or 1.0
     display = color.to_display(radiance * (0.45 / level), "srgb")
     pixels = np.rint(display.numpy()[..., ::-1] * 255).clip(0, 255).astype(np.uint8)
-    if pixels.shape[0] < SIDE:
-        pixels = cv2.resize(pixels, (SIDE, SIDE), interpolation=cv2.INTER_CUBIC)
     data = cv2.imencode(".jpg", np.ascontiguousarray(pixels), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
     write_bytes(path, data.tobytes())
 
@@ -243,27 +223,19 @@ def log_path(results: ResultStore, attempt: str) -> Path | None:
 @contextlib.contextmanager
 def _memory_limit(gib: float | None) -> Iterator[None]:
     """Inside, this process ends itself once it holds more than so much."""
-    with contextlib.suppress(OSError):  # the peak begins anew with each task
-        Path("/proc/self/clear_refs").write_text("5")
     done = threading.Event()
 
     def watch() -> None:
         while not done.wait(LOOK_SECONDS):
-            if gib and (used := _memory()["VmRSS"] / GIB) > gib:
+            pages = int(Path("/proc/self/statm").read_text().split()[1])
+            if gib and (used := pages * os.sysconf("SC_PAGE_SIZE") / GIB) > gib:
                 os.write(2, f"{HELD} {used:.2f} GiB, the limit is {gib:g} GiB\n".encode())
                 os.kill(os.getpid(), signal.SIGKILL)
 
-    threading.Thread(target=watch, daemon=True).start()
+    if gib and Path("/proc/self/statm").exists():
+        threading.Thread(target=watch, daemon=True).start()
     try:
         yield
     finally:
         done.set()
 
-
-def _memory() -> dict[str, int]:
-    """Bytes that this process holds (``VmRSS``) and that it held at most (``VmHWM``)."""
-    try:
-        pairs = (line.partition(":")[::2] for line in Path("/proc/self/status").read_text().splitlines())
-        return {name: int(value.split()[0]) << 10 for name, value in pairs if name in ("VmRSS", "VmHWM")}
-    except OSError:  # no /proc here
-        return {"VmRSS": 0, "VmHWM": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss << 10}

@@ -23,73 +23,56 @@ class Row(msgspec.Struct, frozen=True):
     held_out_error: float | None = None
     burn_in: float | None = None
     warnings: list[str] = []
-    method: str | None = None
-    resolution: int | None = None
     photos: int | None = None
-    preview: str | None = None
-    report: str | None = None
     seconds: float | None = None
-    peak_bytes: int | None = None
 
 
 class Material(msgspec.Struct, frozen=True, kw_only=True):
-    """A capture and what is asked for.
+    """A capture, what is asked for, and what came of it.
 
     Args:
         identity: SHA-256 of photos and options, in hex.
         name: of the capture.
+        state: pending, failed or done; the place of a record says it.
         source: its path or URL.
         asked: method, settings and options.
-        words: the options as they are typed.
+        words: the options that are not the defaults.
         tags: words to find it by.
         date: when it was asked for, or its fit ended; UTC.
         attempts: how often a fit began.
+        base: the folder where paths in its options start.
+        cost: seconds that its fit takes, at a guess.
+        limit: seconds after which its fit counts as hanging; None is no limit.
+        reason: why it failed.
+        log: whether the output of a fit that failed is kept.
+        host: where it was fitted.
+        row: what the list tells.
+        files: of a result.
     """
 
     identity: str
     name: str
+    state: str = "pending"
     source: str = ""
     asked: dict[str, Any] = {}
     words: str = ""
     tags: list[str] = []
     date: str = ""
     attempts: int = 0
+    base: str = ""
+    cost: float = 0.0
+    limit: float | None = None
+    reason: str = ""
+    log: bool = False
+    host: str = ""
+    row: Row = Row()
+    files: dict[str, File] = {}
 
     @property
     def folder(self) -> str:
         """The name of its folder in a library."""
         return f"{self.name}-{self.identity[:SHORT]}"
 
-    def stated(self) -> dict[str, Any]:
-        """What all kinds of materials state."""
-        return {name: getattr(self, name) for name in Material.__struct_fields__}
-
-
-class Pending(Material, frozen=True, kw_only=True):
-    """A material that is not fitted yet.
-
-    Args:
-        base: the folder where paths in its options start.
-        cost: seconds that its fit takes, at a guess.
-        limit: seconds after which its fit counts as hanging; None is no limit.
-    """
-
-    base: str
-    cost: float
-    limit: float | None
-
-
-class Failure(Material, frozen=True, kw_only=True):
-    """A material whose fit failed: how its last attempt ended, why, and whether a log lies beside that."""
-
-    state: str
-    reason: str
-    log: bool = False
-
-
-class Result(Material, frozen=True, kw_only=True):
-    """A material that is done."""
-
-    row: Row
-    files: dict[str, File]
-    host: str = ""
+    def but(self, **changes: Any) -> Material:
+        """Itself with changes."""
+        return msgspec.structs.replace(self, **changes)

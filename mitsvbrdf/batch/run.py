@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import contextlib
-import heapq
 import re
 import secrets
 import time
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -20,8 +19,7 @@ from ..io.progress import several
 from ..io.signals import stop_signals
 from .fitting import HELD, LOG_CHARACTERS, log_path
 from .library import Library
-from .progress import Progress, Tell
-from .records import Failure, Pending
+from .records import Material
 from .settings import BatchSettings
 from .tasks import RayTasks
 
@@ -37,7 +35,7 @@ LAST_WORDS = re.compile(rf"^(?:Fatal Python error: |{HELD} ).*", re.MULTILINE)
 class Attempt:
     """A fit that runs: of which material, and since when; None before its worker is ready."""
 
-    material: Pending
+    material: Material
     began: float | None = None
 
 
@@ -53,22 +51,18 @@ class Batch:
         work: what is left to do.
         settings: limits.
         token: that of the library, which each node must see.
-        tell: told how it stands after each end, with a line about it, and now and then with none.
-        command: what was typed, for the page of a batch that was stopped.
-        clock: seconds since any moment.
+        tell: told a line about each end.
     """
 
-    def __init__(self, library: Library, work: Sequence[Pending], settings: BatchSettings, token: str,
-                 tell: Tell, command: str | None = None, clock: Callable[[], float] = time.monotonic) -> None:
-        self.library, self.settings, self.token = library, settings, token
-        self.tell, self.command, self.clock = tell, command, clock
+    def __init__(self, library: Library, work: Sequence[Material], settings: BatchSettings, token: str,
+                 tell: Callable[[str], None]) -> None:
+        self.library, self.settings, self.token, self.tell = library, settings, token, tell
         self.name = secrets.token_hex(4)  # of this run, in the names of its attempts
-        self.waiting = [(0, -each.cost, number, each) for number, each in enumerate(work)]
-        heapq.heapify(self.waiting)
+        self.waiting = deque(sorted(work, key=lambda each: -each.cost))
         self.running: dict[str, Attempt] = {}
         self.tried, self.lost = Counter[str](), Counter[str]()
-        self.started, self.ended, self.failed, self.unready, self.trouble = clock(), 0, 0, 0, ""
-        self._count, self._page_due = len(self.waiting), 0.0
+        self.started, self.ended, self.failed, self.unready, self.trouble = time.monotonic(), 0, 0, 0, ""
+        self._page_due = 0.0
         self.memory = settings.memory if settings.address else settings.local_memory()
 
     def run(self, tasks: RayTasks) -> bool:
@@ -84,23 +78,23 @@ class Batch:
         try:
             with stop_signals() as stop:
                 while len(stop) < 2 and (self.running or self.waiting and not stop and not self.trouble):
-                    with self._noting():
-                        self._hand_out(tasks, bool(stop))
-                    if stop and not told:
+                    if not stop:
+                        self._hand_out(tasks)
+                    elif not told:
                         told = True
                         self._say(f"stopping: waiting for {several(len(self.running), 'fit')} "
                                   "(Ctrl-C again ends at once)")
                     for name, event in tasks.events(TURN_SECONDS):
                         with self._noting():
-                            self._heard(tasks, name, event)
-                    tasks.cancel(*self._overdue())
+                            self._heard(name, event)
+                    tasks.cancel(*filter(self._overdue, self.running))
                     with self._noting():
-                        self._show()
+                        self._write_page()
                 return bool(stop)
         finally:
             self.library.running.clear()
             with self._noting():
-                self.library.write(command=self.command)
+                self.library.write()
 
     @contextlib.contextmanager
     def _noting(self) -> Iterator[None]:
@@ -110,11 +104,11 @@ class Batch:
         except (OutputError, OSError) as reason:
             self.trouble = self.trouble or str(reason)
 
-    def _hand_out(self, tasks: RayTasks, stop: bool) -> None:
+    def _hand_out(self, tasks: RayTasks) -> None:
         """Give work to every idle worker."""
-        while self.waiting and not stop and not self.trouble and len(self.running) < tasks.slots:
-            material = heapq.heappop(self.waiting)[-1]
-            material = msgspec.structs.replace(material, attempts=material.attempts + 1)
+        while self.waiting and not self.trouble and len(self.running) < tasks.slots:
+            material = self.waiting.popleft()
+            material = material.but(attempts=material.attempts + 1)
             name = f"{material.folder}-{self.name}-{material.attempts}"
             tasks.start(name, {
                 "library": self.library.results.address, "token": self.token, "version": __version__,
@@ -123,27 +117,23 @@ class Batch:
             self.running[name] = Attempt(material)
             self.library.running.add(material.folder)
 
-    def _overdue(self) -> list[str]:
-        """The attempts that take more time than allowed."""
-        return [name for name, each in self.running.items() if each.began is not None
-                and (limit := self.settings.timeout or each.material.limit)
-                and self.clock() > each.began + limit]
+    def _overdue(self, name: str) -> float | None:
+        """The limit of an attempt that takes more time than allowed; None of one that does not."""
+        attempt = self.running[name]
+        limit = self.settings.timeout or attempt.material.limit
+        late = limit and attempt.began is not None and time.monotonic() > attempt.began + limit
+        return limit if late else None
 
-    def _heard(self, tasks: RayTasks, name: str, event: dict) -> None:
+    def _heard(self, name: str, event: dict) -> None:
         """Take in what a task yielded."""
         attempt = self.running.get(name)
         if attempt is None:
             return
         if "state" not in event:
             self._check_node(event)
-            attempt.began, self.unready = self.clock(), 0
+            attempt.began, self.unready = time.monotonic(), 0
             return
-        overdue = name in self._overdue()
-        del self.running[name]
-        material = attempt.material
-        self.library.running.discard(material.folder)
-        if event["state"] == "cancelled" and overdue:
-            limit = self.settings.timeout or material.limit
+        if event["state"] == "cancelled" and (limit := self._overdue(name)):
             event |= {"state": "timeout", "reason": f"killed after {limit:g} s, the limit"}
         elif event["state"] == "crashed" and attempt.began is None:  # before it looked at the capture
             event |= {"state": "lost"}
@@ -151,7 +141,9 @@ class Batch:
             if self.unready > MOST_UNREADY:
                 raise BackendError("workers that start", f"{self.unready} in a row that died",
                                    "run `mitsvbrdf doctor`, on all nodes")
-        self._ended(material, event | self._last_words(name, event))
+        del self.running[name]
+        self.library.running.discard(attempt.material.folder)
+        self._ended(attempt.material, event | self._last_words(name, event))
 
     def _check_node(self, about: dict) -> None:
         """Raise BackendError for a node that cannot take part."""
@@ -178,57 +170,50 @@ class Batch:
         state = "memory" if found[-1].startswith(HELD) else "crashed"
         return {"log": log, "reason": found[-1], "state": state}
 
-    def _ended(self, material: Pending, event: dict) -> None:
+    def _ended(self, material: Material, event: dict) -> None:
         """Note how an attempt ended, by what lies in the library."""
         result = self.library.results.result(material.folder)
-        state, folder = event["state"], material.folder
+        state, folder, reason = event["state"], material.folder, event["reason"]
+        how = "" if state == "failed" else f" ({state})"
         if result and result.identity == material.identity:  # also of a worker that died after that
             self.library.done(result)
             error = "" if result.row.error is None else f", RMSE {result.row.error:.4f}"
             self._say(f"{material.name}: done{error}, {result.row.seconds or 0:.1f} s", ended=True)
         elif state == "full":
-            self.trouble = f"no space is left for results: {event['reason']}; free space"
-            self._wait(material, first=True)
+            self.trouble = f"no space is left for results: {reason}; free space"
+            self.waiting.appendleft(material)
         elif state == "lost" and self.lost[folder] < MOST_LOST:
             self.lost[folder] += 1
-            self._again(material, event, first=True)
+            self.waiting.appendleft(material)
+            self._say(f"{material.name}: tried again{how}: {reason}")
         elif state not in ("failed", "done", "lost") and self.tried[folder] < self.settings.retries:
             self.tried[folder] += 1
-            self._again(material, event)
+            self.waiting.append(material)
+            self._say(f"{material.name}: tried again{how}: {reason}")
         else:
-            reason = "its result did not appear" if state == "done" else event["reason"]
+            reason = "its result did not appear" if state == "done" else reason
             self.failed += 1
-            self._say(f"{material.name}: failed{_how(state)}: {reason}", ended=True)
-            failure = Failure(**material.stated(), state=state, reason=reason)
-            self.library.failed(failure, event.get("log", ""))
+            self._say(f"{material.name}: failed{how}: {reason}", ended=True)
+            self.library.failed(material, reason, event.get("log", ""))
 
-    def _again(self, material: Pending, event: dict, first: bool = False) -> None:
-        self._wait(material, first)
-        self._say(f"{material.name}: tried again{_how(event['state'])}: {event['reason']}")
-
-    def _wait(self, material: Pending, first: bool = False) -> None:
-        """Let a capture wait; ``first`` among those that are as large and were tried as often."""
-        self._count += 1
-        heapq.heappush(self.waiting, (self.tried[material.folder], -material.cost,
-                                      -self._count if first else self._count, material))
-
-    def progress(self) -> Progress:
+    @property
+    def words(self) -> str:
         """How it stands now."""
-        return Progress(self.ended, len(self.waiting) + len(self.running), len(self.running), self.failed,
-                        self.clock() - self.started)
+        running, left = len(self.running), len(self.waiting) + len(self.running)
+        parts = [f"{self.ended:,} of {self.ended + left:,} ended",
+                 *(f"{n:,} {what}" for n, what in ((running, "running"), (self.failed, "failed")) if n)]
+        if self.ended >= max(1, running) and left:  # earlier ends say too little
+            minutes = left * (time.monotonic() - self.started) / self.ended / 60
+            parts.append(f"about {minutes:,.0f} min left")
+        return ", ".join(parts)
 
     def _say(self, line: str, ended: bool = False) -> None:
         self.ended += ended
-        self.tell(self.progress(), line)
+        self.tell(f"[{self.words}] {line}")
 
-    def _show(self) -> None:
-        """Tell how it stands, and write the page anew where it is time."""
-        self.tell(self.progress(), "")
-        if (before := self.clock()) >= self._page_due:
-            self.library.write(self.progress().words)
-            took = self.clock() - before
+    def _write_page(self) -> None:
+        """Write the page anew where it is time."""
+        if (before := time.monotonic()) >= self._page_due:
+            self.library.write(self.words)
+            took = time.monotonic() - before
             self._page_due = before + took + max(PAGE_SECONDS, took / PAGE_SHARE)
-
-
-def _how(state: str) -> str:
-    return "" if state == "failed" else f" ({state})"

@@ -27,14 +27,11 @@ class BatchSettings:
     retries: int = 2
     """How often a fit is tried again that crashed, or took more time or memory than allowed."""
     timeout: float | None = None
-    """Seconds that a fit may take. Default: 3 minutes and 3 times its budget, more where much is read or
-    written."""
+    """Seconds that a fit may take. Default: an hour and 3 times its budget."""
     memory: float | None = None
     """GiB that a worker may take. Default: an equal share of what is free here; no limit on a cluster."""
     retry_failed: bool = False
     """Fit what failed in an earlier run again."""
-    dashboard: bool = False
-    """Show Ray's dashboard, on this machine alone."""
 
     def check(self) -> None:
         """Raise ConfigError for numbers out of range."""

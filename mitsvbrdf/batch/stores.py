@@ -13,9 +13,6 @@ from ..errors import BackendError, MitsvbrdfError, OutputError
 from ..io.files import inside, open_regular, remove, stays_inside, write_bytes
 
 LOCAL = "file", "local"  # what fsspec calls this machine's files, where folders have to be made
-EXTRAS = {"s3": "pip install 'mitsvbrdf[s3]'", "s3a": "pip install 'mitsvbrdf[s3]'",
-          "gs": "pip install gcsfs", "gcs": "pip install gcsfs",
-          "abfs": "pip install adlfs", "az": "pip install adlfs"}
 
 
 def is_url(address: str) -> bool:
@@ -29,7 +26,7 @@ class Store:
     No link in a folder is followed. No listing is kept, since other workers write.
 
     Args:
-        address: a path; a URL of a folder in a store, or of a pattern of folders.
+        address: a path, or the URL of a folder in a store.
 
     Raises:
         MitsvbrdfError: fsspec does not know the URL, or a package is missing.
@@ -47,7 +44,7 @@ class Store:
                                                       **({"auto_mkdir": True} if scheme in LOCAL else {}))
         except ImportError as reason:
             raise BackendError("a package for this kind of address", f"{address}: {reason}",
-                               EXTRAS.get(scheme, "install it")) from None
+                               "install it; for S3: pip install 'mitsvbrdf[s3]'") from None
         except ValueError as reason:
             raise OutputError("an address that fsspec knows", f"{address}: {reason}", "check it") from None
         self.root = root.rstrip("/")
@@ -61,22 +58,6 @@ class Store:
         if self.folder and name and inside(self.folder, name) is None:
             raise OutputError("a library without links in it", f"{self.folder / name}", "move the link away")
         return f"{self.root}/{name}" if name else self.root
-
-    def check(self) -> None:
-        """Write, read and delete an object, so that a fault of a store is known before anything is fitted.
-
-        Raises:
-            OutputError: the store is missing, or gives back something else.
-        """
-        probe = f".probe-{os.urandom(8).hex()}"
-        try:
-            self.write(probe, b"probe")
-            if self.read(probe) != b"probe":
-                raise OutputError("a store that gives what was put there", self.address, "use another one")
-            self.remove(probe)
-        except FileNotFoundError as reason:
-            raise OutputError("a store that is there", f"{self.address}: {reason}",
-                              "make the bucket, or check the address") from None
 
     def open(self, name: str) -> IO[bytes]:
         """A file to read; FileNotFoundError where there is none."""
@@ -115,17 +96,9 @@ class Store:
             with self.reached():
                 self.fs.get_file(self.path(f"{name}/{each}".lstrip("/")), str(folder / each))
 
-    def matches(self) -> list[str]:
-        """The folders that a URL stands for, as the store names them: several where it is a pattern."""
-        return sorted(self.fs.glob(self.root)) if set("*?[") & set(self.root) else [self.root]
-
-    def listed(self, path: str = "") -> tuple[list[str], list[str]]:
-        """The names right inside a folder, of files and of folders; none where it is missing.
-
-        Args:
-            path: of the folder, as its system names it; left out: the root.
-        """
-        path, names = path or self.root, {"file": list[str](), "directory": list[str]()}
+    def listed(self, name: str = "") -> tuple[list[str], list[str]]:
+        """The names right inside a folder, of files and of folders; none where it is missing."""
+        path, names = self.path(name), {"file": list[str](), "directory": list[str]()}
         with self.reached(), contextlib.suppress(FileNotFoundError):
             for info in self.fs.ls(path, detail=True):
                 if (other := info["name"].rstrip("/")) != path:
@@ -152,9 +125,7 @@ class Store:
             os.rename(self.folder / name, self.folder / other)
             return
         with self.reached():
-            for each in self.objects(name):
-                self.fs.cp_file(self.path(f"{name}/{each}"), self.path(f"{other}/{each}"))
-        self.remove(name)
+            self.fs.mv(self.path(name), self.path(other), recursive=True)
 
     def remove(self, name: str) -> None:
         """Delete a file, or a folder with all in it; of a link the link alone."""

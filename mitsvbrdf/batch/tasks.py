@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import logging
 import os
 import secrets
-import shutil
 import socket
 import tempfile
 import threading
@@ -20,7 +18,7 @@ from ..errors import BackendError
 from .fitting import fit_task
 from .settings import BatchSettings
 
-PREFIX, HELD_BY = "mitsvbrdf-ray-", "lock"  # the folder of a Ray of its own, and what holds it
+PREFIX = "mitsvbrdf-ray-"  # of the folder of a Ray of its own, which nobody else may enter
 OBJECT_STORE_BYTES = 80 << 20  # Ray wants 75 MiB at least; it is shared memory that stays untouched
 LOOPBACK = "127.0.0.1"
 ALONE = {
@@ -58,7 +56,8 @@ class RayTasks:
 
     def __enter__(self) -> RayTasks:
         with contextlib.ExitStack() as last:
-            folder = Path(last.enter_context(_private_folder()))
+            folder = Path(last.enter_context(tempfile.TemporaryDirectory(prefix=PREFIX,
+                                                                               ignore_cleanup_errors=True)))
             # Ray prints what happens to workers; the batch tells of captures
             log = last.enter_context((folder / "ray.log").open("a"))
             last.enter_context(contextlib.redirect_stdout(log))
@@ -168,7 +167,7 @@ class RayTasks:
         for left in reversed(range(TRIES)):
             try:
                 self._init(folder, "local", num_cpus=self._workers * settings.threads, num_gpus=0,
-                           object_store_memory=OBJECT_STORE_BYTES, include_dashboard=settings.dashboard,
+                           object_store_memory=OBJECT_STORE_BYTES, include_dashboard=False,
                            _node_ip_address=LOOPBACK, _temp_dir=str(folder / f"ray{left}"))
                 break
             except Exception as error:
@@ -224,23 +223,6 @@ def _reach(address: str) -> None:
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if port.isdigit():
         socket.create_connection((host.strip("[]"), int(port)), timeout=10).close()
-
-
-@contextlib.contextmanager
-def _private_folder() -> Iterator[str]:
-    """A folder for what Ray writes, which nobody else may enter; those of commands that were killed go."""
-    for old in Path(tempfile.gettempdir()).glob(f"{PREFIX}*"):
-        with contextlib.suppress(OSError), (old / HELD_BY).open() as lock:
-            if old.stat().st_uid == os.getuid() and not old.is_symlink():
-                fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                shutil.rmtree(old, ignore_errors=True)
-    folder = tempfile.mkdtemp(prefix=PREFIX)
-    with (Path(folder) / HELD_BY).open("w") as lock:
-        fcntl.flock(lock, fcntl.LOCK_EX)
-        try:
-            yield folder
-        finally:
-            shutil.rmtree(folder, ignore_errors=True)
 
 
 def _children() -> set[int]:

@@ -8,8 +8,9 @@ import itertools
 import re
 import shlex
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
@@ -17,14 +18,12 @@ from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 from ..batch.asked import Asked
 from ..batch.captures import Entry, Mistakes, captures
 from ..batch.library import PAGE, Library
-from ..batch.progress import telling
-from ..batch.records import Failure
 from ..batch.results import FAILED, LOG, ResultStore
 from ..batch.run import Batch
 from ..batch.settings import BatchSettings
 from ..batch.stock import Stock, take_stock
 from ..batch.tasks import RayTasks, require_ray
-from ..errors import ConfigError, MitsvbrdfError
+from ..errors import ConfigError
 from ..fit.config import FitConfig
 from ..fit.options import FitOptions
 from ..io.progress import progress_bar, say
@@ -68,8 +67,7 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
     require_ray()
     asked = _asked(names, Asked(Entry(""), config, shared, pages == "all", _split(tag), sheet, strict))
     results = ResultStore(out)
-    new = not results.is_library()
-    with results.claimed() as token, _taken_away(results, new):
+    with results.claimed() as token:
         results.clear_work()
         library = Library(results)
         with progress_bar("reading captures") as report:
@@ -77,15 +75,16 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
         _say_stock(stock, results)
         interrupted = False
         if stock.work:
-            with telling(results.title) as tell, RayTasks(running) as tasks:
-                work = Batch(library, stock.work, running, token, tell, _typed())
+            tell = partial(say, out=sys.stdout)
+            with RayTasks(running) as tasks:
+                work = Batch(library, stock.work, running, token, tell)
                 interrupted = work.run(tasks)
             results.clear_work()
             if work.trouble:
                 say(f"stopped: {work.trouble}; the same command goes on")
         else:
-            library.write(command=_typed())
-        return _ended(library, interrupted, len(stock.nameless))
+            library.write()
+        return _ended(library, interrupted, stock.unreadable)
 
 
 def _asked(names: list[str], base: Asked) -> list[Asked]:
@@ -133,47 +132,26 @@ def _split(tags: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(word for tag in tags for part in tag.split(",") if (word := part.strip())))
 
 
-def _typed() -> str | None:
-    """The command as it was typed; None where it was called otherwise."""
-    return shlex.join(["mitsvbrdf", *sys.argv[1:]]) if sys.argv[1:2] == ["batch"] else None
-
-
-@contextlib.contextmanager
-def _taken_away(results: ResultStore, new: bool) -> Iterator[None]:
-    """A new library goes again where an error ends the command before anything has ended in it."""
-    try:
-        yield
-    except MitsvbrdfError:
-        if new and not results.names() and not results.failures():
-            results.take_away()
-        raise
-
-
 def _say_stock(stock: Stock, results: ResultStore) -> None:
     """What the library has already, and what is left."""
-    for error in stock.nameless:
-        say(f"omitted: {error}")
-    for source, first in stock.same.items():
-        say(f"omitted: {source} has the photos and options of {first}")
-    for folder, wrong in stock.damaged.items():
-        say(f"done anew: {folder} ({wrong}; what was there is kept as {folder}.damaged)")
+    for note in stock.notes:
+        say(note)
     known = [f"{count} {what}" for count, what in (
-        (stock.done, "done already"), (stock.failed, "failed before (--retry-failed)"),
-        (stock.unreadable, "unreadable")) if count]
+        (stock.done, "done already"), (stock.failed, "failed before (--retry-failed)")) if count]
     say(f"{len(stock.work)} to fit into {results.address}" + (f"; {', '.join(known)}" if known else ""))
 
 
-def _ended(library: Library, interrupted: bool, nameless: int) -> int:
+def _ended(library: Library, interrupted: bool, unreadable: int) -> int:
     """Say what came of it, and give the exit code."""
     counts, home = library.counts(), library.results.address
-    failed = [each for each in library.shown().values() if isinstance(each, Failure)]
+    failed = [each for each in library.shown().values() if each.state == "failed"]
     for each in sorted(failed, key=lambda each: each.name)[:TOLD]:
         log = f"; its log: {home}/{FAILED}/{each.folder}/{LOG}" if each.log else ""
         say(f"failed: {each.name} ({each.source}): {each.reason}{log}")
     words = [f"{counts['done']} done"] + [f"{n} {what}" for n, what in (
-        (counts["failed"], "failed"), (nameless, "omitted"), (counts["pending"], "left")) if n]
+        (counts["failed"], "failed"), (unreadable, "omitted"), (counts["pending"], "left")) if n]
     more = "; the same command goes on" if counts["pending"] else ""
     say(f"{', '.join(words)}; {home}/{PAGE} shows them{more}")
-    if counts["failed"] or nameless:
+    if counts["failed"] or unreadable:
         return 1
     return INTERRUPTED if interrupted and counts["pending"] else int(counts["pending"] > 0)

@@ -8,7 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 import rich.progress
 from rich.console import Console
@@ -137,10 +137,10 @@ def on_terminal() -> bool:
     return False
 
 
-def say(text: str) -> None:
-    """Print a plain line; where that fails the work goes on."""
+def say(text: str, out: TextIO | None = None) -> None:
+    """Print a plain line, to standard output or elsewhere; where that fails the work goes on."""
     with contextlib.suppress(OSError, ValueError):
-        print(text, flush=True)
+        print(text, file=out, flush=True)
 
 
 def print_rich(*what: Any, **style: Any) -> None:

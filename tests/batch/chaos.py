@@ -123,7 +123,7 @@ def counted(library: Path) -> dict:
     """What lies in a library, by its folders."""
     found, identities = Counter[str](), Counter[str]()
     for folder in library.iterdir():
-        if folder.is_dir() and folder.name not in ("failed", "pending") and not folder.name.startswith("."):
+        if folder.is_dir() and folder.name != "failed" and not folder.name.startswith("."):
             record = json.loads((folder / "batch.json").read_text())
             there = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
             torn = [name for name, stated in record["files"].items() if name not in there
@@ -131,7 +131,7 @@ def counted(library: Path) -> dict:
             found["torn"] += bool(torn or there - {*record["files"], "batch.json"})
             found["attempts"] += record["attempts"]
             identities[record["identity"]] += 1
-    names = [path.name for part in (".work*", "pending/*", "failed/*") for path in library.glob(part)]
+    names = [path.name for part in (".work*", "failed/*") for path in library.glob(part)]
     return {"folders": identities.total(), "identities": len(identities), "torn": found["torn"],
             "attempts": found["attempts"], "left over": names}
 

@@ -87,7 +87,7 @@ def test_a_whole_round(shots):
     code, said = run("shots/list.txt")
     row = rows("old wood")[first]
     assert code == 0
-    assert row["options"] == "--guess min --iterations 4 --seed 3 --resolution 16 --pages none"
+    assert row["options"] == "guess=min, iterations=4, seed=3, resolution=16, pages=False"
     record = json.loads(Path("library", row["folder"], "fit.json").read_text())
     assert record["config"]["seed"] == 3
 

@@ -1,4 +1,4 @@
-"""A library that a batch made: listed, checked, exported, tidied up; and its page."""
+"""A library that a batch made: listed and checked; and its page."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from helpers.libraries import random_rows
 
 from mitsvbrdf import cli
 from mitsvbrdf.batch.library import Library, data_script, library_page
-from mitsvbrdf.batch.records import Failure, Pending, Row
+from mitsvbrdf.batch.records import Material, Row
 from mitsvbrdf.batch.results import ResultStore
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
@@ -19,7 +19,7 @@ from mitsvbrdf.material.map_files import save_maps
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
-    """Two materials done, one of them twice since its photos changed; one that failed, and one that waits."""
+    """Two materials done, one of them twice since its photos changed; and one that failed."""
     root = tmp_path_factory.mktemp("made")
     save_maps(make_material("inlay", 16), root / "maps")
     files = {f"maps/{path.name}": path.read_bytes() for path in (root / "maps").iterdir()}
@@ -30,10 +30,7 @@ def made(tmp_path_factory):
             done = result_of(**stated, date=f"2026-11-0{day}T00:00:00Z", row=Row(error=0.01 * day))
             publish(results, done, letter, files)
         stated = {"identity": "d" * 64, "name": "ash", "source": "/shots/ash", "date": "2026"}
-        failure = Failure(**stated, state="crashed", reason="SIGSEGV", log=True)
-        results.settle("ash-dddddddd", failure, "its last words")
-        stated = {"identity": "e" * 64, "name": "elm", "source": "/shots/elm"}
-        results.want(Pending(**stated, base="/", cost=1.0, limit=None))
+        results.fail(Material(**stated, reason="SIGSEGV", log=True), "its last words")
         Library(results).write()
     return root / "library"
 
@@ -62,17 +59,16 @@ def folders(library):
 def test_rows_are_those_of_the_folders_and_of_the_file_for_pandas(ask, library):
     rows = [json.loads(line) for line in ask("--json")[1]]
     assert [(row["name"], row["state"], row["id"]) for row in rows] == [
-        ("ash", "failed", "d" * 8), ("elm", "pending", "e" * 8), ("oak-2", "done", "b" * 8),
-        ("oak-10", "done", "c" * 8)]
+        ("ash", "failed", "d" * 8), ("oak-10", "done", "c" * 8), ("oak-2", "done", "b" * 8)]
     assert rows == json.loads((library / "library.json").read_text())["materials"]
     assert rows[0]["log"] == "failed/ash-dddddddd/log.txt"
     assert (library / rows[0]["log"]).read_text() == "its last words"
 
 
 @pytest.mark.parametrize("options, names", [
-    ([], ["ash", "elm", "oak-2", "oak-10"]), (["--search", "WOOD"], ["oak-2", "oak-10"]),
-    (["--search", "sigs"], ["ash"]),
-    (["--state", "pending"], ["elm"]), (["--search", "k-1", "--state", "done"], ["oak-10"]),
+    ([], ["ash", "oak-10", "oak-2"]), (["--search", "WOOD"], ["oak-10", "oak-2"]),
+    (["--search", "sigs"], ["ash"]), (["--state", "failed"], ["ash"]), (["--state", "replaced"], ["oak-2"]),
+    (["--search", "k-1", "--state", "done"], ["oak-10"]),
     (["--search", "x y"], [])])
 def test_search_is_by_text_and_state(ask, options, names):
     assert [json.loads(line)["name"] for line in ask("--json", *options)[1]] == names
@@ -80,21 +76,21 @@ def test_search_is_by_text_and_state(ask, options, names):
 
 def test_listing(ask):
     code, said, _ = ask()
-    assert code == 0 and "4 materials" in said[0]
+    assert code == 0 and "3 materials" in said[0]
     assert any("oak-10-cccccccc" in line and "0.0300" in line for line in said)
     assert any(line == "failed: ash-dddddddd: SIGSEGV" for line in said)
     assert ask("--search", "nothing")[1] == ["no material matches"]
 
 
-@pytest.mark.parametrize("name", ["library.json", "index.html", "library.js", ".token", "failed", "pending"])
+@pytest.mark.parametrize("name", ["library.json", "index.html", "library.js", ".token", "failed"])
 @pytest.mark.parametrize("content", [None, "", "{", '{"materials": [NaN]}'])
 def test_nothing_but_the_folders_counts(ask, library, name, content):
     path = library / name
     shutil.rmtree(path) if path.is_dir() else path.unlink()
-    if content is not None and name not in ("failed", "pending"):
+    if content is not None and name != "failed":
         path.write_text(content)
     code, said, _ = ask("--json", "--state", "done")
-    assert code == 0 and [json.loads(line)["name"] for line in said] == ["oak-2", "oak-10"]
+    assert code == 0 and [json.loads(line)["name"] for line in said] == ["oak-10", "oak-2"]
     assert "NaN" not in "".join(said)
 
 
@@ -107,51 +103,16 @@ def test_verify_finds_what_changed(ask, library):
     assert ask("--verify", "--search", "oak-2")[0] == 0
 
 
-def test_prune_deletes_what_was_superseded_and_nothing_else(ask, library):
-    (library / "oak-2-aaaaaaaa.damaged").mkdir()
-    (library / "notes.txt").write_text("mine")
-    before = folders(library)
-    code, said, _ = ask("--prune", "--dry-run")
-    assert code == 0 and folders(library) == before and "would delete 2 results" in said[-1]
-    code, said, _ = ask("--prune")
-    assert code == 0 and folders(library) == ["oak-10-cccccccc", "oak-2-bbbbbbbb"]
-    assert (library / "notes.txt").exists()
-    assert not (library / "oak-2-aaaaaaaa.damaged").exists() and "deleted 2 results" in said[-1]
-    assert len([json.loads(line) for line in ask("--json")[1]]) == 4
-
-
-def test_export_goes_on_after_one_that_fails(ask, library, tmp_path):
-    shutil.rmtree(library / "oak-2-bbbbbbbb/maps")
-    code, said, _ = ask("--export", "maps", "-o", tmp_path / "out", "--state", "done")
-    assert code == 1 and said[-1] == f"exported 1 of 2 to {tmp_path / 'out'}"
-    assert (tmp_path / "out/oak-10-cccccccc/maps").is_dir()
-    assert not (tmp_path / "out/oak-2-bbbbbbbb/maps").exists()
-
-
 def test_mistakes(ask, tmp_path):
     (tmp_path / "empty").mkdir()
     for folder in (tmp_path / "empty", tmp_path / "missing"):
         code, _, errors = ask(folder=folder)
         assert code == 2 and "`mitsvbrdf batch` makes one" in errors
-    for options in (["--export", "gltf"], ["-o", tmp_path / "out"], ["--dry-run"]):
-        assert ask(*options)[0] == 2
 
 
-def test_a_library_in_use_is_looked_at_and_not_pruned(ask, library):
+def test_a_library_in_use_is_looked_at(ask, library):
     with ResultStore(str(library)).claimed():
         assert ask("--json")[0] == 0
-        code, _, errors = ask("--prune")
-        assert code == 2 and "in use by another one" in errors
-
-
-def test_addresses_on_the_page_lead_nowhere_else():
-    rows = random_rows(4)
-    for row, folder in zip(rows, ("a b", "ü?#", "javascript:hit()", '"><b>')):
-        row["report"] = f"{folder}/report.html"
-    script = data_script({}, rows)
-    data = json.loads(script[script.index("{"):script.rindex("}") + 1])
-    assert data["columns"]["report"] == ["a%20b/report.html", "%C3%BC%3F%23/report.html",
-                                         "javascript%3Ahit%28%29/report.html", "%22%3E%3Cb%3E/report.html"]
 
 
 @pytest.mark.parametrize("name", ["..", ".", "//host", "a/b", "a\\b", "\ud800"])
@@ -164,10 +125,9 @@ def test_no_row_names_a_folder_that_lies_elsewhere(library, ask, name):
 def test_the_data_of_the_page_is_json_in_an_assignment():
     rows = random_rows(50)
     rows[0]["name"] = "</script><script>hit()</script>"
-    script = data_script({"title": "a"}, rows)
+    script = data_script({"title": "a", "materials": rows})
     assert "<" not in script and script.isascii()
-    data = json.loads(script[script.index("{"):script.rindex("}") + 1])
-    assert data["columns"]["name"] == [row["name"] for row in rows] and len(data["columns"]["error"]) == 50
+    assert json.loads(script[script.index("{"):script.rindex("}") + 1]) == {"title": "a", "materials": rows}
 
 
 def test_a_page_bears_its_nonce_alone():

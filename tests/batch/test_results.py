@@ -8,12 +8,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import msgspec
 import pytest
 from helpers.batches import FILES, publish, result_of
 
 from mitsvbrdf.batch import results as module
-from mitsvbrdf.batch.records import Failure, Pending
+from mitsvbrdf.batch.records import Material
 from mitsvbrdf.batch.results import RECORD, WORK, ResultStore
 from mitsvbrdf.errors import BackendError, OutputError
 
@@ -29,9 +28,8 @@ SPOILED = ({"row": []}, {"identity": 3}, {"row": {"error": "low"}}, {"row": {"wa
 
 
 @pytest.fixture(params=["folder", "store"])
-def results(request, tmp_path, monkeypatch):
+def results(request, tmp_path):
     """An empty library, as a folder and behind a URL."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     (tmp_path / "library").mkdir()
     return ResultStore(f"{'file://' * (request.param == 'store')}{tmp_path}/library")
 
@@ -93,7 +91,7 @@ def test_what_is_no_result_goes_aside(folder, what):
         path.mkdir()
         (path / RECORD if what == "torn" else path / "mine").write_text("{")
     assert publish(folder, result_of()) and folder.result(FOLDER)
-    assert folder.aside() == [f"{FOLDER}.damaged"]
+    assert len(list(folder.store.folder.glob(f"{FOLDER}.damaged.*"))) == 1
 
 
 def test_a_worker_that_outlived_its_batch_publishes_nothing(folder):
@@ -111,15 +109,6 @@ def test_a_record_that_is_none_counts_for_nothing(results, text):
     publish(results, result_of())
     (at(results) / FOLDER / RECORD).write_text(text, encoding="latin-1")
     assert results.result(FOLDER) is None
-
-
-def test_a_record_of_version_1_0_0_is_read(folder):
-    publish(folder, result_of())
-    old = {"identity": "a" * 64, "name": "wood", "attempt": "aaaa-1", "source": "/shots/wood", "asked": {},
-           "row": {"error": 0.1, "left_out_error": 0.2, "seconds": 1, "date": "2026-11-01T00:00:00Z"},
-           "files": {"fit.json": {"bytes": 2, "sha256": "0"}}}
-    (folder.store.folder / FOLDER / RECORD).write_text(json.dumps(old))
-    assert folder.result(FOLDER).row.held_out_error == 0.2
 
 
 @pytest.mark.parametrize("harm, by_size, by_hash", [
@@ -144,34 +133,31 @@ def test_what_is_no_file_is_damage_and_not_opened(folder, make):
     assert folder.result(FOLDER) is None
 
 
-def test_what_is_set_aside_is_kept_under_a_number_and_can_be_removed(results):
+def test_what_is_set_aside_is_kept(results):
     for number in range(2):
         publish(results, result_of(), str(number))
         results.set_aside(FOLDER)
-    assert results.aside() == [f"{FOLDER}.damaged", f"{FOLDER}.damaged1"] and results.names() == []
-    results.remove(f"{FOLDER}.damaged")
-    assert results.aside() == [f"{FOLDER}.damaged1"]
+    kept = sorted(at(results).glob(f"{FOLDER}.damaged.*"))
+    assert len(kept) == 2 and all((each / RECORD).is_file() for each in kept) and results.names() == []
 
 
-def test_failures_and_what_waits_are_remembered(results):
-    stated = {"identity": "b" * 64, "name": "oak"}
-    results.want(Pending(**stated, base="/", cost=1.0, limit=None))
-    assert list(results.pending()) == ["oak-bbbbbbbb"]
-    results.settle("oak-bbbbbbbb", Failure(**stated, state="crashed", reason="SIGSEGV"), "its last words")
-    assert results.pending() == {} and results.failures()["oak-bbbbbbbb"].reason == "SIGSEGV"
+def test_failures_are_remembered_until_they_are_forgotten(results):
+    results.fail(Material(identity="b" * 64, name="oak", reason="SIGSEGV"), "its last words")
+    found = results.materials()["oak-bbbbbbbb"]
+    assert (found.state, found.reason) == ("failed", "SIGSEGV")
     assert (at(results) / "failed/oak-bbbbbbbb/log.txt").read_text() == "its last words"
-    results.settle("oak-bbbbbbbb")
-    assert results.failures() == {} and results.names() == []
+    results.forget("oak-bbbbbbbb")
+    assert results.materials() == {} and results.names() == []
 
 
-def test_one_batch_at_a_time(results):
-    with results.claimed() as token:
+def test_one_batch_at_a_time(folder):
+    with folder.claimed() as token:
         code = ("import sys; from mitsvbrdf.batch.results import ResultStore\n"
                 "with ResultStore(sys.argv[1]).claimed(): pass")
-        other = subprocess.run([sys.executable, "-c", code, results.address], capture_output=True, text=True)
+        other = subprocess.run([sys.executable, "-c", code, folder.address], capture_output=True, text=True)
         assert "in use by another one" in other.stderr, other.stderr
-    with results.claimed() as again:
-        assert token == again and results.is_library()
+    with folder.claimed() as again:
+        assert token == again and folder.is_library()
 
 
 @pytest.mark.parametrize("name", ["photo.png", "notes.txt", "oak-bbbbbbbb/maps/diffuse.exr", "library.json"])
@@ -192,8 +178,7 @@ def test_a_library_that_lost_all_but_its_results_is_accepted(folder):
         assert folder.result(FOLDER)
 
 
-@pytest.mark.parametrize("name", [".lock", ".token", ".work", "library.json", "index.html", "failed",
-                                  "pending"])
+@pytest.mark.parametrize("name", [".lock", ".token", ".work", "library.json", "index.html", "failed"])
 def test_nothing_is_written_through_a_link_in_a_library(folder, tmp_path, name):
     publish(folder, result_of())
     (tmp_path / "outside").mkdir()
@@ -209,16 +194,13 @@ def test_nothing_is_written_through_a_link_in_a_library(folder, tmp_path, name):
     assert tree(tmp_path / "outside") == {}
 
 
-def test_what_is_removed_is_inside(folder, tmp_path):
+def test_what_is_taken_away_is_inside(folder, tmp_path):
     (tmp_path / "outside").mkdir()
     (tmp_path / "outside" / RECORD).write_text("mine")
-    (folder.store.folder / FOLDER).symlink_to(tmp_path / "outside")
-    folder.remove(FOLDER)
-    assert tree(tmp_path / "outside") == {RECORD: b"mine"}
-    assert not os.path.lexists(folder.store.folder / FOLDER)
     (folder.store.folder / f"{WORK}-old").symlink_to(tmp_path / "outside")
     folder.clear_work()
     assert tree(tmp_path / "outside") == {RECORD: b"mine"}
+    assert not os.path.lexists(folder.store.folder / f"{WORK}-old")
 
 
 def test_a_store_that_cannot_be_had_is_one_error(tmp_path):
@@ -233,6 +215,6 @@ def test_a_store_that_cannot_be_had_is_one_error(tmp_path):
 def test_records_say_all_that_they_hold(results):
     found = result_of(tags=["a"], host="here", words="--seed 3", attempts=2)
     publish(results, found)
-    assert msgspec.structs.replace(results.result(FOLDER), files={}) == found
-    results.restate(msgspec.structs.replace(results.result(FOLDER), tags=["b"]))
+    assert results.result(FOLDER).but(files={}) == found
+    results.restate(results.result(FOLDER).but(tags=["b"]))
     assert results.result(FOLDER).tags == ["b"] and not results.damage(results.result(FOLDER), hashes=True)

@@ -5,14 +5,12 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import msgspec
 import pytest
 from helpers.batches import asked, make_capture, publish, result_of
 
 from mitsvbrdf.batch import asked as asked_module
 from mitsvbrdf.batch.fitting import now
 from mitsvbrdf.batch.library import Library
-from mitsvbrdf.batch.records import Failure, Result
 from mitsvbrdf.batch.results import RECORD, ResultStore
 from mitsvbrdf.batch.stock import take_stock
 from mitsvbrdf.fit import HierarchicalConfig
@@ -43,18 +41,17 @@ def do(results, found):
     """Let all results appear."""
     for each in found.work:
         publish(results, result_of(each, date=now()), each.folder)
-        results.settle(each.folder)
+        results.forget(each.folder)
 
 
 def fail(results, found):
     for each in found.work:
-        results.settle(each.folder, Failure(**each.stated(), state="crashed", reason="SIGSEGV"))
+        results.fail(each.but(reason="SIGSEGV"), "")
 
 
 def test_what_is_new_is_left_to_do_with_its_cost(results, shots):
     found = stock(results, *shots)
     assert names(found) == ["oak", "pine", "ash"] and all(each.cost > 0 for each in found.work)
-    assert len(results.pending()) == 3
 
 
 def test_what_is_done_is_not_done_again(results, shots):
@@ -66,7 +63,7 @@ def test_what_is_done_is_not_done_again(results, shots):
 def test_a_result_whose_end_nobody_saw_counts(results, shots):
     for each in stock(results, *shots).work:
         publish(results, result_of(each), each.folder)
-    assert stock(results, *shots).done == 3 and results.pending() == {}
+    assert stock(results, *shots).done == 3
 
 
 @pytest.mark.parametrize("harm, said", [
@@ -79,8 +76,8 @@ def test_damage_is_noticed_kept_aside_and_done_anew(results, shots, harm, said):
     (folder,) = results.names()
     harm(results.store.folder / folder)
     found = stock(results, shots[0])
-    assert names(found) == ["oak"] and said in found.damaged[folder]
-    assert results.aside() == [f"{folder}.damaged"]
+    assert names(found) == ["oak"] and any(folder in note and said in note for note in found.notes)
+    assert len(list(results.store.folder.glob(f"{folder}.damaged.*"))) == 1
 
 
 def test_a_capture_that_changed_is_done_anew_and_hides_its_former_result(results, shots):
@@ -94,15 +91,8 @@ def test_a_capture_that_changed_is_done_anew_and_hides_its_former_result(results
     for name in results.names():
         found = results.result(name)
         date = "2026-01-01T00:00:00Z" if name in before else "2026-01-02T00:00:00Z"
-        results.restate(msgspec.structs.replace(found, date=date))
+        results.restate(found.but(date=date))
     assert stock(results, shots[0]).done == 1 and list(Library(results).shown()) == before
-
-
-def test_what_an_earlier_command_left_is_done_too_but_not_of_former_photos(results, shots):
-    stock(results, *shots[:2])
-    (shots[1] / "target/00.png").write_bytes(b"another")
-    found = stock(results, shots[1], shots[2])
-    assert sorted(names(found)) == ["ash", "oak", "pine"] and len(results.pending()) == 3
 
 
 def test_other_options_make_another_material_and_hide_none(results, shots):
@@ -132,27 +122,26 @@ def test_one_that_failed_and_whose_result_appeared_after_all_is_done(results, sh
     found = stock(results, shots[0])
     fail(results, found)
     publish(results, result_of(found.work[0]))
-    assert stock(results, shots[0]).done == 1 and results.failures() == {}
+    assert stock(results, shots[0]).done == 1
+    assert not list((results.store.folder / "failed").iterdir())
 
 
-def test_what_cannot_be_read_fails_until_it_can(results, shots, monkeypatch):
+def test_what_cannot_be_read_is_omitted_until_it_can(results, shots, monkeypatch):
     def forbidden(path):
         raise PermissionError(13, "Permission denied", str(path))
 
     with monkeypatch.context() as patch:
         patch.setattr(asked_module, "file_hash", forbidden)
-        for _ in range(2):
-            found = stock(results, shots[0])
-            assert (found.work, found.unreadable) == ([], 1)
-            assert "check your rights" in next(iter(results.failures().values())).reason
-    do(results, stock(results, shots[0]))
-    assert [type(each) for each in Library(results).shown().values()] == [Result]
+        found = stock(results, shots[0])
+        assert (found.work, found.unreadable) == ([], 1) and "check your rights" in found.notes[0]
+    assert names(stock(results, shots[0])) == ["oak"]
 
 
 def test_the_same_photos_under_two_names_are_fitted_once_and_that_is_said(results, tmp_path):
     one, other = (make_capture(tmp_path / part / "same", [b"the same"]) for part in "ab")
     found = stock(results, one, other, one)
-    assert names(found) == ["same"] and found.same == {str(other): str(one)}
+    assert names(found) == ["same"] and found.notes == [
+        f"omitted: {other} has the photos and options of {one}"]
 
 
 def test_two_captures_with_one_name_are_two_materials(results, tmp_path):
@@ -164,4 +153,4 @@ def test_two_captures_with_one_name_are_two_materials(results, tmp_path):
 def test_a_name_that_is_not_utf_8_is_omitted_with_its_reason(results, shots, tmp_path):
     odd = make_capture(Path(os.fsdecode(os.fsencode(tmp_path) + b"/odd-\xff")))
     found = stock(results, odd, shots[0])
-    assert names(found) == ["oak"] and "a name in UTF-8" in str(found.nameless[0])
+    assert names(found) == ["oak"] and "a name in UTF-8" in found.notes[0]

@@ -190,10 +190,8 @@ def libraries() -> Drawn[Case]:
                      stated("in/library/stone-*/batch.json"), replaced(index, "in/library/.lock",
                                                                        "in/library/.token"))
     quick = [f"library ../in/library{words}" for words in ("", " --json", " --search wood", " --verify")]
-    looking = cases("library", "library", ways, *quick, *quick, "library ../in/library --export materialx "
-                                                                "-o out")
+    looking = cases("library", "library", ways, *quick, *quick, "library ../in/library --state replaced")
     return st.one_of(looking, looking, cases("library", "library capture", ways,
-                                             "library ../in/library --prune",
                                              f"batch ../in/capture -o ../in/library {FIT}", out="in/library"))
 
 

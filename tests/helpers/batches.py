@@ -11,13 +11,13 @@ import msgspec
 
 from mitsvbrdf.batch.asked import Asked
 from mitsvbrdf.batch.captures import Entry
-from mitsvbrdf.batch.records import Material, Pending, Result, Row
+from mitsvbrdf.batch.records import Material, Row
 from mitsvbrdf.batch.results import ResultStore
 from mitsvbrdf.fit.config import FitConfig, HierarchicalConfig
 from mitsvbrdf.fit.options import FitOptions
 
 FILES = {"maps/diffuse.png": b"diffuse", "fit.json": b"{}"}
-ROW = Row(error=0.25, seconds=1.5, warnings=["dark"], preview="preview.jpg")
+ROW = Row(error=0.25, seconds=1.5, warnings=["dark"])
 DATE = "2026-11-23T10:00:00Z"
 
 
@@ -37,13 +37,13 @@ def asked(capture: Path, config: FitConfig | None = None, tags: tuple[str, ...] 
     return Asked(Entry(str(capture)), config, FitOptions(**options), False, tags)  # type: ignore[arg-type]
 
 
-def result_of(material: Material | None = None, **changes: object) -> Result:
+def result_of(material: Material | None = None, **changes: object) -> Material:
     """A record without files; of ``wood`` where no material is given."""
-    stated = {"identity": "a" * 64, "name": "wood"} if material is None else material.stated()
-    return Result(**({**stated, "row": ROW, "files": {}, "date": DATE} | changes))  # type: ignore[arg-type]
+    material = material or Material(identity="a" * 64, name="wood")
+    return material.but(**{"state": "done", "row": ROW, "date": DATE} | changes)
 
 
-def publish(results: ResultStore, result: Result, attempt: str = "one",
+def publish(results: ResultStore, result: Material, attempt: str = "one",
             files: Mapping[str, bytes] = FILES) -> bool:
     """Make a result and let it appear."""
     with results.building(attempt) as made:
@@ -74,7 +74,7 @@ class FakeTasks:
         self.held = set[str]()
 
     def start(self, name: str, task: dict) -> None:
-        material = msgspec.convert(task["material"], Pending)
+        material = msgspec.convert(task["material"], Material)
         deeds = self.deeds.get(material.name, deque(["done"]))
         deed = deeds.popleft() if len(deeds) > 1 else deeds[0]
         self.order.append(material.name)

@@ -18,7 +18,7 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
-from mitsvbrdf.batch.records import Result, Row
+from mitsvbrdf.batch.records import Material
 from mitsvbrdf.batch.results import ResultStore
 from mitsvbrdf.io import files, results
 
@@ -63,7 +63,7 @@ def publish(root: Path) -> None:
     results = ResultStore(str(root))
     with results.building("one") as made:
         write(made, {"maps/a.exr": "2", "fit.json": "2"})
-        results.publish(made, Result(identity="a" * 64, name="wood", row=Row(), files={}))
+        results.publish(made, Material(identity="a" * 64, name="wood"))
 
 
 def after_publishing(root: Path) -> dict:

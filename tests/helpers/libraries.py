@@ -53,7 +53,6 @@ def random_row(k: int, random: np.random.Generator, state: str, date: str) -> di
         "warnings": random.choice(WARNINGS, random.choice([0, 0, 0, 1, 2]), replace=False).tolist() if fitted
         else [],
         "seconds": round(random.lognormal(3.6, 0.4), 2) if ended else None,
-        "peak_bytes": int(random.normal(9e8, 1e8)) if ended else None,
         "attempts": int(random.choice([1, 1, 1, 1, 2, 3])) if ended else 0, "date": date if ended else None,
         "tags": [kind, *(["old wood"] if random.random() < 0.05 else [])],
         "method": "gan" if random.random() < 0.2 else "hierarchical", "resolution": 512
@@ -67,12 +66,10 @@ def random_row(k: int, random: np.random.Generator, state: str, date: str) -> di
         "log": f"{folder}/log.txt" if state == "failed" else None}
 
 
-def write_page(folder: Path, rows: list[dict], title: str = "A library", progress: str = "",
-               command: str | None = None) -> None:
+def write_page(folder: Path, rows: list[dict], title: str = "A library", progress: str = "") -> None:
     """The page of a library and its data."""
-    about = {"title": title, "made": "2026-11-23T10:00:00Z", "version": "1.0.0", "progress": progress,
-             "command": command}
-    (folder / DATA).write_text(data_script(about, rows))
+    told = {"title": title, "made": "2026-11-23T10:00:00Z", "version": "1.0.0", "progress": progress}
+    (folder / DATA).write_text(data_script(told | {"materials": rows}))
     (folder / PAGE).write_text(library_page(title))
 
 
