@@ -1,4 +1,4 @@
-"""The captures of a batch: named by folders, patterns, URLs and lists, each with its own options.
+"""The captures of a batch: named by folders, URLs and lists, each with its own options.
 
 Raw photos become a capture before they are fitted.
 """
@@ -6,11 +6,9 @@ Raw photos become a capture before they are fitted.
 from __future__ import annotations
 
 import contextlib
-import glob
 import os
 import re
 import shlex
-import sys
 import tempfile
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
@@ -23,7 +21,6 @@ from .stores import Store, is_url
 
 TOKEN = ".token"  # what a library is known by
 CALIBRATIONS = ("capture.json", "camera_pos.txt")
-PATTERN = frozenset("*?[")
 SIDE = 1024  # pixels a side of the photos that are rectified here
 
 
@@ -41,48 +38,31 @@ class Entry(NamedTuple):
     where: str = ""
 
 
-class Mistakes:
-    """Gathers mistakes, so that all are told at once."""
-
-    def __init__(self) -> None:
-        self.found: dict[str, MitsvbrdfError] = {}  # by its words: all captures of one line share a mistake
-
-    @contextlib.contextmanager
-    def gathered(self, where: str = "") -> Iterator[None]:
-        """Keep what is raised inside, and add the place where the error does not name it."""
-        try:
-            yield
-        except MitsvbrdfError as error:
-            if where and where not in str(error):
-                error = type(error)(error.expected, f"{error.got} ({where})", error.fix)
-            self.found.setdefault(str(error), error)
-
-    def tell(self) -> None:
-        """Raise the only mistake, or one error that names all; nothing where there is none."""
-        if len(self.found) == 1:
-            raise next(iter(self.found.values()))
-        if self.found:
-            raise ConfigError("no mistakes", str(len(self.found)), "\n  ".join(["mend them:", *self.found]))
+@contextlib.contextmanager
+def told_with(where: str) -> Iterator[None]:
+    """Inside, an error that does not name this place gets it."""
+    try:
+        yield
+    except MitsvbrdfError as error:
+        if where in str(error):
+            raise
+        raise type(error)(error.expected, f"{error.got} ({where})", error.fix) from None
 
 
-def captures(names: Sequence[str], mistakes: Mistakes) -> list[Entry]:
+def captures(names: Sequence[str]) -> list[Entry]:
     """The captures that names stand for, in their order.
 
     Args:
-        names: each a capture (a folder, its JSON file, or a URL), a folder of captures, a pattern of these,
-            or a list: a text file with one of these a line, options behind it, ``#`` before a remark; ``-``
-            is a list on standard input. A library among captures is passed over.
-        mistakes: gathers wrong names and lines; the captures of the others are returned.
+        names: each a capture (a folder, its JSON file, or a URL), a folder of captures, or a list: a text
+            file with one of these a line, options behind it, ``#`` before a remark. A library among captures
+            is passed over.
 
     Raises:
-        CaptureError: the names stand for no capture at all.
+        CaptureError: a name stands for nothing, or all of them for no capture.
     """
-    found = list[Entry]()
-    for name in names:
-        with mistakes.gathered():
-            found += _expanded(name, mistakes)
-    if not found and not mistakes.found:
-        raise CaptureError("captures to fit", "none", "name folders, patterns like 'shots/*', or a list file")
+    found = [entry for name in names for entry in _expanded(name)]
+    if not found:
+        raise CaptureError("captures to fit", "none", "name folders, or a list file")
     return found
 
 
@@ -154,25 +134,17 @@ def rectified(folder: Path, out: Path, sheet: float | None, transfer: Transfer |
     return out
 
 
-def _expanded(name: str, mistakes: Mistakes, own: tuple[str, ...] = (), where: str = "") -> Iterator[Entry]:
-    """The captures of one name; mistakes in the lines of a list are gathered, others are raised."""
+def _expanded(name: str, own: tuple[str, ...] = (), where: str = "") -> Iterator[Entry]:
+    """The captures of one name, which may stand in a list."""
+    path = Path(os.path.expanduser(name))
     if is_url(name):
         yield from (Entry(url, own, where) for url in _behind(name))
-        return
-    path = Path(os.path.expanduser(name))
-    if PATTERN & set(name) and not path.exists():
-        matches = sorted(glob.glob(str(path)))
-        if not matches:
-            raise CaptureError("captures that match", f"none like {name}", "check the name")
-        for match in matches:
-            if os.path.isdir(match) or name.endswith(".json") or not where and not match.endswith(".json"):
-                yield from _expanded(match, mistakes, own, where)
     elif path.is_dir():
         yield from (Entry(os.path.realpath(folder), own, where) for folder in _captures_in(path))
     elif path.suffix.lower() == ".json" and path.is_file():
         yield Entry(os.path.realpath(path), own, where)
-    elif not where and (name == "-" or path.is_file()):
-        yield from _listed(name, mistakes)
+    elif not where and path.is_file():
+        yield from _listed(path)
     else:
         raise CaptureError("a folder of photos or a list file", f"nothing at {name}", "check the name")
 
@@ -211,25 +183,20 @@ def _behind(url: str) -> list[str]:
     raise CaptureError("captures", f"none at {url}", "check the address")
 
 
-def _listed(name: str, mistakes: Mistakes) -> Iterator[Entry]:
-    """The entries of a list; a relative path starts where the list lies. ``-`` is standard input."""
-    path, called = Path(os.path.expanduser(name)), "standard input" if name == "-" else name
+def _listed(path: Path) -> Iterator[Entry]:
+    """The entries of a list; a relative path starts where the list lies."""
     try:
-        text = (sys.stdin.buffer.read() if name == "-" else path.read_bytes()).decode("utf-8-sig")
+        lines = path.read_text("utf-8-sig").splitlines()
     except (OSError, ValueError) as reason:
-        raise CaptureError("a list of captures, one a line", f"{called}: {reason}",
+        raise CaptureError("a list of captures, one a line", f"{path}: {reason}",
                            "write it as UTF-8 text") from None
-    for number, line in enumerate(text.splitlines(), 1):
-        where = f"line {number} of {called}"
-        with mistakes.gathered(where):
-            if words := _words(line):
+    for number, line in enumerate(lines, 1):
+        where = f"line {number} of {path}"
+        with told_with(where):
+            try:
+                words = shlex.split(re.sub(r"(^|\s)#.*", "", line))
+            except ValueError as reason:
+                raise ConfigError("a capture and its options", str(reason), "close the quotes") from None
+            if words:
                 source = words[0] if is_url(words[0]) else str(path.parent / os.path.expanduser(words[0]))
-                yield from _expanded(source, mistakes, tuple(words[1:]), where)
-
-
-def _words(line: str) -> list[str]:
-    """Split as a shell does; a ``#`` at the beginning of a word begins a remark."""
-    try:
-        return shlex.split(re.sub(r"(^|\s)#.*", "", line))
-    except ValueError as reason:
-        raise ConfigError("a capture and its options", str(reason), "close the quotes") from None
+                yield from _expanded(source, tuple(words[1:]), where)

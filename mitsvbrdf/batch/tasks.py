@@ -106,17 +106,16 @@ class RayTasks:
         """
         import ray
 
+        found = list[tuple[str, dict]]()
         if not self._tasks:
             time.sleep(seconds)
         elif ray.wait(list(self._tasks), timeout=seconds)[0]:
-            ready = ray.wait(list(self._tasks), num_returns=len(self._tasks), timeout=0)[0]
-            found = [(self._tasks[task], self._item(task)) for task in ready]
-            self._tasks = {task: name for task, name in self._tasks.items()
-                           if not any(name == other and "state" in item for other, item in found)}
-            self._check()
-            return found
+            for task in ray.wait(list(self._tasks), num_returns=len(self._tasks), timeout=0)[0]:
+                found.append((self._tasks[task], self._item(task)))
+                if "state" in found[-1][1]:
+                    del self._tasks[task]
         self._check()
-        return []
+        return found
 
     def _item(self, task: Any) -> dict:
         from ray import exceptions, get

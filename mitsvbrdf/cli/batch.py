@@ -16,7 +16,7 @@ from typing import Annotated, Literal
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
 from ..batch.asked import Asked
-from ..batch.captures import Entry, Mistakes, captures
+from ..batch.captures import Entry, captures, told_with
 from ..batch.library import PAGE, Library
 from ..batch.results import FAILED, LOG, ResultStore
 from ..batch.run import Batch
@@ -36,8 +36,8 @@ TOLD = 20  # failures that are told one by one
 
 
 def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="captures", help=(
-              "Captures, folders of captures, patterns, URLs, or lists. A line of a list is a capture with "
-              "its own options. - reads a list from standard input."), help_behavior_hint="(required)")],
+              "Captures, folders of captures, URLs, or lists. A line of a list is a capture with its own "
+              "options."), help_behavior_hint="(required)")],
           out: Annotated[str, arg(aliases=["-o"], metavar="LIBRARY", help=(
               "The library: a folder that all workers see, or a URL like s3://bucket/library."))],
           config: FitConfig, shared: OmitArgPrefixes[FitOptions] = USUAL,
@@ -65,7 +65,8 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
     running.check()
     shared.check(config)
     require_ray()
-    asked = _asked(names, Asked(Entry(""), config, shared, pages == "all", _split(tag), sheet, strict))
+    base = Asked(Entry(""), config, shared, pages == "all", _split(tag), sheet, strict)
+    asked = [with_own_options(entry, base) for entry in captures(names)]
     results = ResultStore(out)
     with results.claimed() as token:
         results.clear_work()
@@ -87,16 +88,6 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
         return _ended(library, interrupted, stock.unreadable)
 
 
-def _asked(names: list[str], base: Asked) -> list[Asked]:
-    """The captures and what is asked for of each; all mistakes are told at once."""
-    mistakes, asked = Mistakes(), list[Asked]()
-    for entry in captures(names, mistakes):
-        with mistakes.gathered(entry.where):
-            asked.append(with_own_options(entry, base))
-    mistakes.tell()
-    return asked
-
-
 def with_own_options(entry: Entry, base: Asked) -> Asked:
     """A capture with the options of its line beside those of the command line."""
     if not entry.own:
@@ -116,8 +107,10 @@ def with_own_options(entry: Entry, base: Asked) -> Asked:
                              config=(tyro.conf.FlagCreatePairsOff,))
     except SystemExit:
         raise ConfigError("options of `mitsvbrdf fit`, --tag, --pages or --sheet",
-                          f"{shlex.join(entry.own)} ({_plain(said.getvalue())})", "mend the line") from None
-    asked.options.check(asked.config)
+                          f"{shlex.join(entry.own)} ({_plain(said.getvalue())}; {entry.where})",
+                          "mend the line") from None
+    with told_with(entry.where):
+        asked.options.check(asked.config)
     return asked
 
 
