@@ -199,11 +199,6 @@ class Views:
         return replace(self, camera=self.camera.to(dtype), light=self.light.to(dtype),
                        intensity=self.intensity.to(dtype))
 
-    @property
-    def co_located(self) -> bool:
-        """Whether every light is exactly at its camera."""
-        return bool(torch.equal(self.camera, self.light))
-
 
 def shift_lights(views: Views, flash_offset: tuple[float, float] | None) -> Views:
     """The views with every light moved sideways by this much, in patch sides."""

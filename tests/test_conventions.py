@@ -65,7 +65,7 @@ def test_unit_of_length_does_not_matter():
 
 def test_light_defaults_to_the_camera():
     views = Views.of([[0.1, 0.2, 3.0]])
-    assert views.co_located and torch.equal(views.light, views.camera)
+    assert torch.equal(views.light, views.camera)
 
 
 def test_map_shapes():

@@ -78,8 +78,8 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
 
 
 def _calibration(stated: dict, path: Path) -> Calibration:
-    """Where the views come from. Other tools do not state it; ``calibrated`` is our older word."""
-    found = stated.get("calibration", "none" if stated.get("calibrated", True) is False else "given")
+    """Where the views come from; other tools do not state it."""
+    found = stated.get("calibration", "given")
     if found not in get_args(Calibration):
         raise CaptureError(f"a calibration of {get_args(Calibration)}", f"{found!r} in {path}",
                            "choose one of these")

@@ -17,7 +17,6 @@ from ..errors import CaptureError, ConfigError, InputWarning
 from ..io.decode import check_size, decoded, opened
 from ..io.decode import orientation as orientation_of
 from ..io.files import check_names
-from ..io.profile import profiled
 from ..kinds import kinds_checked
 
 PLAIN = (".png", ".jpg", ".jpeg")
@@ -32,7 +31,6 @@ UNTURNED = {3: 2, 6: 1, 8: -1}
 # What can be locked, and shows where it was not: EXIF tags of the Exif block, a number each.
 NUMBERS = {"ISO": 34855, "exposure time": 33434, "focal length": 37386, "35 mm focal length": 41989}
 WORDS = {"white balance": (41987, {0: "automatic", 1: "manual"}), "flash": (37385, {0: "off", 1: "fired"})}
-LONGEST = 50  # times the short side; reduced, a longer photo would have no pixel left along it
 UNKNOWN = 65535  # what some cameras write for a number they do not know, the largest of 16 bits
 SAME = ("ISO", "exposure time", "focal length", "white balance", "flash", "camera")
 
@@ -91,9 +89,6 @@ class Photo:
                     orientation = image.info.get("original_orientation") or 1
                     size = size[::-1] if orientation in (6, 8) else size
         check_size(path, size, CaptureError)
-        if max(size) > LONGEST * min(size):
-            raise CaptureError(f"photos at most {LONGEST} times as long as wide",
-                               f"{path} of {size[0]} x {size[1]} pixels", "crop it, or take it out")
         return cls(path, size, orientation if orientation in range(1, 9) else 1, read_exif(path))
 
     def pixels(self, most: int | None = None) -> np.ndarray:
@@ -106,9 +101,8 @@ class Photo:
         Raises:
             Unreadable: the file is damaged or cut off.
         """
-        with profiled("reading"):
-            with _readable(self.path):
-                image = self._decoded()
+        with _readable(self.path):
+            image = self._decoded()
             return np.ascontiguousarray(reduced(image, most) if most else image)
 
     def _decoded(self) -> np.ndarray:

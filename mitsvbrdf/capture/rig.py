@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sized
-from dataclasses import asdict, dataclass, field
-from typing import Any, Literal
+from dataclasses import dataclass, field
+from typing import Literal
 
+import msgspec
 import numpy as np
 
 from ..errors import CaptureError
@@ -50,34 +51,8 @@ class Rig:
 
 
 def rig_to_json(rig: Rig) -> dict:
-    """A rig as numbers, lists and texts, for ``capture.json["rig"]``; see :func:`rig_from_json`."""
-    lens = {name: list(value) if isinstance(value, tuple) else value
-            for name, value in asdict(rig.lens).items()}
-    poses = {name: {"position": np.asarray(pose.position).tolist(),
-                    "rotation": np.asarray(pose.rotation).tolist()} for name, pose in rig.poses.items()}
-    return {"lens": lens, "poses": poses, "size": rig.size, "unit": rig.unit, "source": rig.source,
-            "errors": dict(rig.errors), "rejected": dict(rig.rejected),
-            "deviations": dict(rig.deviations), "notes": list(rig.notes)}
-
-
-def rig_from_json(value: dict) -> Rig:
-    """The rig that :func:`rig_to_json` wrote.
-
-    Raises:
-        CaptureError: something is missing or no number.
-    """
-    try:
-        lens: dict[str, Any] = {name: tuple(x) if isinstance(x, list) else x
-                                for name, x in value["lens"].items()}
-        poses = {name: Pose(np.array(pose["position"], dtype=np.float64).reshape(3),
-                            np.array(pose["rotation"], dtype=np.float64).reshape(3, 3))
-                 for name, pose in value["poses"].items()}
-        return Rig(Lens(**lens), poses, float(value["size"]), value["unit"], value["source"],
-                   dict(value.get("errors", {})), dict(value.get("rejected", value.get("left_out", {}))),
-                   dict(value.get("deviations", {})), tuple(value.get("notes", ())))
-    except (KeyError, TypeError, ValueError, AttributeError) as reason:
-        raise CaptureError("a rig of lens and poses", f"{type(reason).__name__}: {reason}",
-                           "make the capture again with `mitsvbrdf capture`") from None
+    """A rig as numbers, lists and texts, for ``capture.json["rig"]``."""
+    return msgspec.to_builtins(rig, enc_hook=np.ndarray.tolist)
 
 
 def check_enough(kept: Sized, rejected: Mapping[str, str], what: str = "that can be used",

@@ -4,7 +4,7 @@
 stage       function        result                                         home
 =========== =============== ============================================== ============
 photos      of_one_camera   the photos of one lens                         photo.py
-poses       find_rig        the lens, and where it stood in each photo     align/
+poses       rig_from_...    the lens, and where it stood in each photo     align/
 rectified   Rectified.of    the patch as seen from straight above          rectify.py
 light       Lit.of          flash, vignetting, exposures of these photos   light/
 verdicts    judge           which of these photos are bad                  quality/
@@ -26,18 +26,16 @@ import torch
 from .. import color
 from ..errors import ConfigError
 from ..io.entry import entry
-from ..io.profile import STEP, profiled, profiling
 from ..views import coverage_angle
-from .align import find_rig
+from .align.from_photos import rig_from_photos
+from .align.from_sheet import rig_from_sheet
 from .align.sheet import Sheet
 from .capture import LEAST_SIDE, Capture
 from .light.lit import Lit
 from .light.solve import Shading
 from .photo import Photo, of_one_camera
-from .quality.detail import blurred
-from .quality.next_view import HIGHLIGHT_ANGLE, NextView, next_best_view
 from .quality.photo_quality import PhotoQuality
-from .quality.verdicts import judge
+from .quality.verdicts import blurred, judge
 from .rectify import Rectified
 from .rig import Rig, check_enough, rig_to_json
 
@@ -46,6 +44,8 @@ Report = Callable[[str, float], object]  # is told what is going on, and the sha
 
 MOST_SIDE = 4096  # pixels, of a rectified photo
 COVERAGE_SIDE = 64
+# Half vectors this close to the upright show a highlight (of roughness 0.35: alpha is tan 7 degrees).
+HIGHLIGHT_ANGLE = math.radians(7)
 
 
 @dataclass(frozen=True)
@@ -61,9 +61,7 @@ class CaptureResult:
         qualities: how good each photo is that has a pose, by name.
         coverage: smallest angle (rad) between half vector and upright that a photo shows, 64 x 64, row 0 at
             the top.
-        next_view: where one more photo would show most; None: nowhere much.
         warnings: what a user should know.
-        seconds: by stage.
     """
 
     capture: Capture
@@ -72,9 +70,7 @@ class CaptureResult:
     shading: Shading | None
     qualities: dict[str, PhotoQuality]
     coverage: torch.Tensor
-    next_view: NextView | None
     warnings: tuple[str, ...]
-    seconds: dict[str, float]
 
     @property
     def used(self) -> list[str]:
@@ -120,14 +116,6 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
                           f"{depth_cm:g} cm", "measure how far it is, in cm")
     if reference not in get_args(Reference):
         raise ConfigError(f"a reference of {get_args(Reference)}", repr(reference), "choose one of these")
-    with profiling() as profile, profile.scope(STEP):
-        result = _made(photos, sheet_cm, depth_cm, transfer, resolution, reference, report)
-    return replace(result, seconds=profile.steps[0])
-
-
-def _made(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, transfer: color.Transfer | None,
-          resolution: int, reference: Reference, report: Report) -> CaptureResult:
-    """The stages one after the other; without the seconds."""
     paper = None if sheet_cm is None else Sheet(sheet_cm).white
     kept, rejected, notes = of_one_camera(photos)
     check_enough(kept, rejected)
@@ -135,14 +123,12 @@ def _made(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, tran
     fired = {photo.name: str(photo.exif["flash"]) for photo in photos if "flash" in photo.exif}
     qualities: dict[str, PhotoQuality] = {}
     for start in (0, 0.5):
-        with profiled("poses"):
-            rig = find_rig(kept, sheet_cm, depth_cm, reference, _within(report, start, 0.3))
-        with profiled("rectifying"):
-            rectified = Rectified.of(rig, kept, resolution, _within(report, start + 0.3, 0.2))
-        with profiled("flash"):
-            lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
-        with profiled("quality"):
-            found = judge(lit.pictures, lit.views, transfer, lit.overlap, lit.evenness, fired)
+        told = _within(report, start, 0.3)
+        rig = (rig_from_photos(kept, reference, told) if sheet_cm is None
+               else rig_from_sheet(kept, sheet_cm, depth_cm, told))
+        rectified = Rectified.of(rig, kept, resolution, _within(report, start + 0.3, 0.2))
+        lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
+        found = judge(lit.pictures, lit.views, transfer, lit.overlap, lit.evenness, fired)
         qualities |= found.qualities
         rejected |= rig.rejected | found.rejected
         kept = [photo for photo in kept if photo.name not in rejected]
@@ -153,17 +139,14 @@ def _made(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float, tran
             break
     if found.rejected:
         rig = replace(rig, poses={photo.name: rig.poses[photo.name] for photo in kept})
-        with profiled("flash"):
-            lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
-    with profiled("quality"):
-        without_pose = [photo for photo in photos if photo.name in rejected.keys() - qualities.keys()]
-        rejected |= blurred(without_pose, rejected, rectified.small.values())
-        next_view = next_best_view(lit.views, lit.names, rig.unit)
-        coverage = coverage_angle(lit.views, COVERAGE_SIDE)
+        lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
+    without_pose = [photo for photo in photos if photo.name in rejected.keys() - qualities.keys()]
+    rejected |= blurred(without_pose, rejected, rectified.small.values())
     index = tuple(i for i, photo in enumerate(photos) if photo.name in lit.names)
     capture = Capture(lit.pictures, lit.views, transfer, index, rig.source, photos[0].path.parent)
     return CaptureResult(capture, tuple(photos), replace(lit.rig, rejected=rejected), lit.shading, qualities,
-                         coverage, next_view, (*notes, *rig.notes, *rectified.notes, *lit.notes), {})
+                         coverage_angle(lit.views, COVERAGE_SIDE),
+                         (*notes, *rig.notes, *rectified.notes, *lit.notes))
 
 
 def _within(report: Report, start: float, length: float) -> Report:

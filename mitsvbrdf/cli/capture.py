@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from ..capture.align.sheet import PAPER_THICKNESS
 from ..errors import ConfigError
 from ..io import results
 from ..io.progress import print_rich, progress_bar, say
@@ -18,8 +19,6 @@ from .options import Out, Overwrite, Strict, TransferChoice, folder_of_its_own
 
 if TYPE_CHECKING:
     from ..capture.stages import CaptureResult
-
-PAPER_THICKNESS = 0.01  # cm
 
 
 def capture(photos: Annotated[Positional[Path], arg(
@@ -44,7 +43,7 @@ def capture(photos: Annotated[Positional[Path], arg(
     cm. Without, poses come from what the photos have in common.
 
     OUT holds capture.json and the rectified photos in target/. quality.html lists rejected photos with the
-    reason, and says where one more photo helps most. contact.jpg and quality.json hold the same.
+    reason, and shows which texels have a highlight. contact.jpg and quality.json hold the same.
     """
     from ..capture import write_capture
     from ..capture.align.from_sheet import refuse_tags
@@ -70,17 +69,16 @@ def capture(photos: Annotated[Positional[Path], arg(
         last.enter_context(deferred_signals())  # until all is in place
         write_capture(result.capture, folder, capture_keys(result))
         write_quality(result, folder)
-    _print(result, resolution)
+    _print(result)
     say(f"wrote {out}/quality.html, contact.jpg, capture.json, target/; next: mitsvbrdf fit {out} -o OUT")
     return 0
 
 
-def _print(result: CaptureResult, asked: int) -> None:
-    """Each photo with its number in a fit or the reason to reject it, and notes; ``asked``: --resolution."""
+def _print(result: CaptureResult) -> None:
+    """Each photo with its number in a fit or the reason to reject it, and notes."""
     from rich.table import Table
 
-    from ..capture.quality.next_view import HIGHLIGHT_ANGLE
-    from ..fit.options import FitOptions
+    from ..capture.stages import HIGHLIGHT_ANGLE
 
     table = Table(title=f"{len(result.used)} of {len(result.photos)} photos used", title_justify="left")
     for heading in ("photo", "", "reprojection", "sharpness", "clipped"):
@@ -95,10 +93,5 @@ def _print(result: CaptureResult, asked: int) -> None:
     print_rich(table, markup=False)
     for warning in result.warnings:
         say(f"note: {warning}")
-    if (side := result.capture.resolution) < asked:
-        say(f"{side} pixels are {'enough' if side >= FitOptions.resolution else 'few'}: a fit takes "
-            f"{FitOptions.resolution} by default; photos from closer by show more")
     say(f"{result.covered:.0%} of the patch has a highlight, within {math.degrees(HIGHLIGHT_ANGLE):.0f} "
-        "degrees, in some photo"
-        + (f"; one more photo would show most {result.next_view.words}" if result.next_view else ""))
-    say("`mitsvbrdf fit` says how surely these highlights tell specular and roughness")
+        "degrees, in some photo; `mitsvbrdf fit` says how surely these tell specular and roughness")

@@ -15,7 +15,7 @@ from typing import Literal, get_args
 
 import numpy as np
 
-from ..capture.align.sheet import Sheet
+from ..capture.align.sheet import PAPER_THICKNESS, Sheet
 from ..capture.lens import Lens, Pose, project
 from ..errors import ConfigError
 from ..views import nine_view_grid
@@ -37,8 +37,8 @@ class HandheldPhone:
     """How many photos, from positions like those of the nine-view grid."""
     sheet: float | None = None
     """Size of the sheet of tags that lies on the material, over the tags' outer edges; left out: no sheet."""
-    depth: float = 0.02
-    """Of the material under the sheet: 0.02 is paper."""
+    depth: float = PAPER_THICKNESS
+    """Of the material under the sheet; left out: that of paper."""
     side: float | None = None
     """Side of the sample; left out: 24, or that of the sheet."""
     focal_35mm: float = 26.4

@@ -45,7 +45,8 @@ def test_json_idx_picks_rows_and_photos(tmp_path):
     images = photos()
     capture = read_capture(json_capture(tmp_path, images, idx=[2, 0], light_pos=..., light_pow=7))
     assert capture.index == (2, 0) and capture.views.camera.tolist() == [CAMERA[2], CAMERA[0]]
-    assert capture.views.co_located and capture.views.intensity.tolist() == [[7.0] * 3] * 2
+    assert torch.equal(capture.views.camera, capture.views.light)
+    assert capture.views.intensity.tolist() == [[7.0] * 3] * 2
     assert np.array_equal((capture.photos * 255).round().numpy(), images[[2, 0]])
 
 
@@ -58,7 +59,7 @@ def test_text_capture_agrees_with_json(tmp_path, separator):
 
 def test_text_capture_without_light_pos_and_with_power_rows(tmp_path):
     capture = read_capture(text_capture(tmp_path, light_pos=None, light_power="1,2,3\n4,5,6\n7,8,9"))
-    assert capture.views.co_located
+    assert torch.equal(capture.views.camera, capture.views.light)
     assert capture.views.intensity.tolist() == [[1, 2, 3], [4, 5, 6], [7, 8, 9]]
 
 

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from helpers import ROOT
 from helpers.made_photos import LENS, POWER, SHEET, ground, poses, stored, taken
+from helpers.rigs import lens_and_poses
 from helpers.tables import words_at_the_right
 from PIL import Image
 
@@ -20,7 +21,6 @@ from mitsvbrdf.capture import read_capture
 from mitsvbrdf.capture.align.from_sheet import refuse_tags
 from mitsvbrdf.capture.lens import Pose, project
 from mitsvbrdf.capture.photo import Photo, photos_in
-from mitsvbrdf.capture.rig import rig_from_json
 from mitsvbrdf.capture.stages import make_capture
 from mitsvbrdf.errors import CaptureError, ConfigError
 
@@ -112,11 +112,11 @@ def test_what_capture_json_says(made, truth):
     assert {"camera_pos", "light_pos", "light_pow", "im_size", "idx", "target_dir"} <= set(stated)
     assert (stated["unit"], stated["calibration"], stated["photos"]) == ("cm", "sheet", list(truth))
     assert len(stated["rejected"]) == 9 and stated["uncertainty"]["flash_x"] < 0.1
-    rig = rig_from_json(stated["rig"])
-    pixel = project(rig.lens, rig.poses["IMG_3.jpg"], np.zeros((1, 3)))
+    lens, found = lens_and_poses(stated["rig"])
+    pixel = project(lens, found["IMG_3.jpg"], np.zeros((1, 3)))
     # measured 0.01
     assert pixel == pytest.approx(project(LENS, truth["IMG_3.jpg"], np.zeros((1, 3))), abs=0.1)
-    assert rig.lens.vignetting[0] == pytest.approx(-0.2, abs=0.02)  # measured -0.204
+    assert lens.vignetting[0] == pytest.approx(-0.2, abs=0.02)  # measured -0.204
 
 
 def test_quality_page_and_pictures(made):
@@ -127,9 +127,7 @@ def test_quality_page_and_pictures(made):
         assert row["name"] in page and (row["used"] or row["reason"].split(" (")[0] in page)
     assert page.count("<img") == 16 and "http://" not in page.replace("http://www.w3.org",
                                                                       "") and len(page) < 2e6
-    assert {"reading", "rectifying", "flash", "quality", "tags"} <= set(record["seconds"])
-    assert 0.3 < record["coverage"]["share"] <= 1 and (record["stand"] is None
-                                                       or record["stand"]["words"] in page)
+    assert 0.3 < record["coverage"]["share"] <= 1
     assert cv2.imread(str(out / "contact.jpg")).shape[1] == 1680
     assert any("flash differs" in warning for warning in record["warnings"])
     assert "<td" in page and not words_at_the_right(page)

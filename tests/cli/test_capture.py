@@ -2,8 +2,6 @@
 
 from types import SimpleNamespace
 
-import pytest
-
 from mitsvbrdf.cli.capture import _print
 
 
@@ -12,21 +10,12 @@ def result(resolution, photos=("IMG_1.jpg", "blurred[red].jpg", "IMG_2.jpg"), re
     used = [name for name in photos if name != rejected]
     rig = SimpleNamespace(rejected={rejected: "blurred: 0.2"}, errors=dict.fromkeys(used, 0.25))
     return SimpleNamespace(used=used, photos=[SimpleNamespace(name=name) for name in photos], rig=rig,
-                           qualities={}, warnings=("the photos are small",), covered=0.5, next_view=None,
+                           qualities={}, warnings=("the photos are small",), covered=0.5,
                            capture=SimpleNamespace(resolution=resolution))
 
 
 def test_the_table_says_by_which_number_a_fit_calls_each_photo(capsys):
-    _print(result(1024), 1024)
+    _print(result(1024))
     rows = {cells[1].strip(): cells[2].strip() for line in capsys.readouterr().out.splitlines()
             if len(cells := line.split("│")) > 3}
     assert rows == {"IMG_1.jpg": "used as 00", "blurred[red].jpg": "blurred: 0.2", "IMG_2.jpg": "used as 01"}
-
-
-@pytest.mark.parametrize("shown, words", [(727, "727 pixels are enough: a fit takes 256"),
-                                          (200, "200 pixels are few"), (1024, None)])
-def test_whether_fewer_pixels_than_asked_for_are_enough(shown, words, capsys):
-    _print(result(shown), 1024)
-    said = capsys.readouterr().out
-    assert (words or "the photos are small") in said and ("photos from closer by" in said) == (
-        words is not None)

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 import torch
 from helpers.phones import SMALL
+from helpers.rigs import lens_and_poses
 
 from mitsvbrdf import cli, color, make_material
 from mitsvbrdf.capture.align.sheet import Sheet
 from mitsvbrdf.capture.lens import Lens, project
 from mitsvbrdf.capture.photo import Photo
-from mitsvbrdf.capture.rig import rig_from_json
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.material.maps import flat
@@ -178,9 +178,8 @@ def test_the_command_writes_photos_and_their_truth(tmp_path, capsys):
     assert (photo.exif["flash"], dark.exif["flash"]) == ("fired", "off")
     truth = json.loads((raw / "truth" / "truth.json").read_text())
     assert truth["material"] == "tiles" and truth["sample_cm"] == 24.0 and truth["phone"]["seed"] == 2
-    rig = rig_from_json(truth["rig"])
-    assert list(rig.poses) == [f"IMG_{i:04d}.jpg"
-                               for i in range(1, 5)] and rig.lens.distortion == (0.06, -0.04)
+    lens, poses = lens_and_poses(truth["rig"])
+    assert list(poses) == [f"IMG_{i:04d}.jpg" for i in range(1, 5)] and lens.distortion == (0.06, -0.04)
     assert (raw / "truth" / "sample" / "normal.exr").is_file() and not (raw / "truth" / "maps").exists()
     pixels = photo.pixels()
     assert 60 < pixels.mean() < 160 and (pixels == 255).mean() < 0.05  # a photo that is well exposed

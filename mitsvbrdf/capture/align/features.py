@@ -122,9 +122,9 @@ def homography(source: Array, aim: Array, pixel: float) -> tuple[Array | None, N
 
 
 def mapped(warp: Array, points: Array) -> Array:
-    """Points (K x 2) under a homography."""
-    out = np.concatenate([points, np.ones((len(points), 1))], axis=1) @ warp.T
-    return out[:, :2] / out[:, 2:]
+    """Points (... x 2) under a homography."""
+    x = points @ warp[:, :2].T + warp[:, 2]
+    return x[..., :2] / x[..., 2:]
 
 
 def wild(warp: Array, size: tuple[int, int]) -> bool:

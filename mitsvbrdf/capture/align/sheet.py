@@ -32,6 +32,7 @@ OUTER = 76  # side of what counts as the sheet: two white cells around the tags
 PATCH = 0.64  # of the frame: what svbrdf-diff-renderer crops, 1024 of 1600 pixels
 SMALLEST = 5.0  # cm: cells of 0.7 mm, which a phone half a metre away still sees in 3 pixels
 SHEETS: dict[Paper, tuple[float, float]] = {"a4": (21.0, 29.7), "letter": (21.59, 27.94)}  # cm
+PAPER_THICKNESS = 0.01  # cm, of 80 g/m^2
 PRINTER_MARGIN = 0.5  # cm that many printers leave white
 ABOVE = 2.0  # cm between the upper edge of the paper and the sheet
 

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ...color import decode
 from ..lens import Array
 from ..photo import Photo
+from .features import mapped
 from .sheet import CODES, TAG, Sheet, tag_cells
 
 MOST_PIXELS = 4100  # of the long side that is measured; 12 megapixels are 4032 wide
@@ -119,7 +120,7 @@ def _measured(grey: NDArray, linear: NDArray[np.float32],
         cell = np.linalg.norm(np.roll(corners, -1, axis=0) - corners, axis=1).mean() / TAG
         reach = min(REACH, REACH_PIXELS / cell) if last else REACH
         steps = np.linspace(-reach, reach, PROFILE)
-        at = _mapped(warp, on[:, :, None] + steps[:, None] * _OUT[:, None, None])
+        at = mapped(warp, on[:, :, None] + steps[:, None] * _OUT[:, None, None])
         where = (at - low).astype(np.float32).reshape(4 * POINTS * WIDTH, PROFILE, 2)
         values = cv2.remap(window, where, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT,
                            borderValue=(np.nan,))
@@ -130,9 +131,9 @@ def _measured(grey: NDArray, linear: NDArray[np.float32],
             return None
         middle = on.reshape(4, POINTS, WIDTH, 2).mean(axis=2)
         edge = middle + np.nan_to_num(offset)[..., None] * _OUT[:, None]
-        pixels = _mapped(warp, edge)
+        pixels = mapped(warp, edge)
         corners = _corners([pixels[side][good[side]] for side in range(4)])
-    tangent = _mapped(warp, edge + 0.1 * _WAY[:, None]) - _mapped(warp, edge - 0.1 * _WAY[:, None])
+    tangent = mapped(warp, edge + 0.1 * _WAY[:, None]) - mapped(warp, edge - 0.1 * _WAY[:, None])
     normal = (np.stack((tangent[..., 1], -tangent[..., 0]), axis=-1)
               / np.linalg.norm(tangent, axis=-1, keepdims=True))
     return middle[good], pixels[good], normal[good], corners
@@ -165,9 +166,3 @@ def _corners(sides: list[Array]) -> Array:
     for (p, v), (q, w) in zip(lines[-1:] + lines[:-1], lines):
         found.append(p + v * np.linalg.solve(np.stack((v, -w), axis=1), q - p)[0])
     return np.array(found)
-
-
-def _mapped(warp: Array, points: Array) -> Array:
-    """Points (... x 2) through a homography."""
-    x = points @ warp[:, :2].T + warp[:, 2]
-    return x[..., :2] / x[..., 2:]

@@ -1,4 +1,9 @@
-"""The most probable light: robust least squares in rounds, once more without photos that had no flash."""
+"""The most probable light: robust least squares in rounds, once more without photos that had no flash.
+
+How evenly each photo is lit tells these: 0 where light falls off as a flash's, 1 where only the room's light
+is. Each photo's log radiance, less what the other photos say of its texels, is set against the pattern a
+flash would make.
+"""
 
 from __future__ import annotations
 
@@ -10,14 +15,16 @@ import numpy as np
 
 from ..lens import Array, Lens
 from ..rig import Rig
-from .evenness import EVEN, evenness_of
 from .problem import LOG_F0, Problem
-from .robust import alike, noise_of, trust_of
 from .samples import Samples
 
 # times: how far beyond what noise explains unknowns of known materials, which share no one lobe, were off
 MISFIT = 4.0
 ROUNDS = 10  # of reweighting
+EVEN = 0.5  # evenness from which a photo takes no part
+SURE = 0.2  # standard deviation up to which evenness counts as measured
+LEAST_LOG_NOISE = 0.002  # of log radiance
+BELOW, ABOVE = 2.0, 3.0  # standard deviations from where residuals count less
 
 
 @dataclass(frozen=True)
@@ -127,3 +134,65 @@ def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
                   problem.layout.unpack(np.sqrt(covariance.diagonal())),
                   problem.typical, float(albedo[0]), level_sd, colour, np.where(total > 1e-3, albedo, np.nan),
                   evenness_of(problem, unknowns, weights, gloss), ())
+
+
+def noise_of(error: Array, weights: Array) -> float:
+    """Standard deviation of residuals that have company, from the weighted median of their size."""
+    order = np.argsort(np.abs(error))
+    half = np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)
+    return max(LEAST_LOG_NOISE, 1.4826 * float(np.abs(error)[order][min(half, len(error) - 1)]))
+
+
+def trust_of(size: Array) -> Array:
+    """Weights of residuals in deviations: 1 / |r| below (Huber 1981), 1 / r^4 above (Geman, McClure 1985)."""
+    return np.where(size < 0, 1 / (np.abs(size) / BELOW).clip(1), 1 / (1 + (size / ABOVE) ** 2) ** 2)
+
+
+def alike(error: Array, weights: Array, cell: np.ndarray) -> float:
+    """How many residuals count as one: the mean square of sums over cells, over that of independent ones."""
+    sums, squares = (np.bincount(cell, v) for v in (weights * error, (weights * error) ** 2))
+    return max(1.0, float(np.square(sums).sum() / max(squares.sum(), 1e-30)))
+
+
+def evenness_of(problem: Problem, unknowns: Array, weights: Array, gloss: Array) -> dict[str, float]:
+    """1 - slope of each photo's log radiance, less what others say of its texels, over a flash's pattern."""
+    samples, pattern = problem.samples, problem.falloff(unknowns) + gloss
+    own = samples.weight * problem.away(unknowns)
+    weights = np.minimum(weights, own)
+    others = samples.log - problem.model(unknowns) - gloss
+    total, found = np.bincount(samples.texel, weights), {}
+    for number, name in enumerate(samples.names):
+        at = samples.photo == number
+        mine = np.bincount(samples.texel[at], (weights * others)[at], len(total))
+        rest = total - np.bincount(samples.texel[at], weights[at], len(total))
+        albedo = (np.bincount(samples.texel, weights * others) - mine) / rest.clip(1e-12)
+        there = at & (rest > 0.1)[samples.texel]
+        found[name] = _flatness(pattern[there], (others - albedo[samples.texel])[there], own[there],
+                                samples.cell[there])
+    return found
+
+
+def _flatness(pattern: Array, error: Array, weights: Array, cell: np.ndarray) -> float:
+    """- slope of errors over the pattern, robust, in [0, 1]; 0 where its standard deviation is above SURE."""
+    if len(pattern) < 20:
+        return 0.0
+    found = min((_line(pattern, error, weights, cell, start) for start in (0.0, -1.0)),
+                key=lambda line: line[2])
+    return min(1.0, max(0.0, -found[0])) if found[1] < SURE else 0.0
+
+
+def _line(x: Array, y: Array, weights: Array, cell: np.ndarray, slope: float) -> tuple[float, float, float]:
+    """A robust line: its slope, the standard deviation of that, and of the rest. It starts from ``slope``."""
+    for _ in range(5):
+        rest = y - slope * x
+        rest = rest - np.median(rest)
+        noise = noise_of(rest, weights)
+        trust = weights * trust_of(rest / noise)
+        aside = x - np.average(x, weights=trust)
+        spread = max(float((trust * aside**2).sum()), 1e-12)
+        slope = float((trust * aside * y).sum()) / spread
+    rest = y - slope * x
+    rest = rest - np.average(rest, weights=trust)
+    sums = np.bincount(cell, trust * aside * rest)
+    deviation = math.sqrt(float(np.square(sums).sum())) / spread if spread > 1e-9 else math.inf
+    return slope, deviation, noise_of(rest, weights)

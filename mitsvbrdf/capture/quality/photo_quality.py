@@ -20,7 +20,6 @@ from ... import color
 from ...color import NEARLY_CLIPPED
 from ...material.resample import resized
 from ...views import Views, texel_positions
-from .detail import rms
 
 # texels a side at which radiance is compared, and at most at which detail is
 RADIANCE_SIDE, DETAIL_SIDE = 32, 512
@@ -39,10 +38,8 @@ class PhotoQuality:
         name: of the file.
         overlap: share of the patch it shows.
         clipped: share of its texels with a channel at the limit.
-        level: mean display value.
         sharpness: how much detail it has in the direction that has least, relative to the median photo.
         stops: how much brighter than the others it shows the same texels, as powers of two.
-        residual: median of the difference of log radiance from the others'.
         unlike: share of the patch, in one piece, that is of a colour or a darkness that no other photo shows.
         unlike_detail: the same, of texels that lack the detail that the others agree on.
         evenness: 0 where light falls off as a flash's, 1 where it is even; None where that was not asked.
@@ -51,10 +48,8 @@ class PhotoQuality:
     name: str
     overlap: float
     clipped: float
-    level: float
     sharpness: float
     stops: float
-    residual: float
     unlike: float
     unlike_detail: float
     evenness: float | None = None
@@ -90,10 +85,9 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, over
     lost &= ((colour > SLIGHT_COLOUR) | (beside.abs() > SLIGHT)).numpy()
     usual = float(offset.median())
     return [PhotoQuality(name, float(shown), clipped=float(clipped[i].float().mean()),
-                         level=float(photos[i].mean()), sharpness=float(sharp[i]),
-                         stops=(float(offset[i]) - usual) / math.log(2),
-                         residual=float(beside[i].abs().median()), unlike=_largest_piece(unlike[i].numpy()),
-                         unlike_detail=_largest_piece(lost[i]), evenness=(evenness or {}).get(name))
+                         sharpness=float(sharp[i]), stops=(float(offset[i]) - usual) / math.log(2),
+                         unlike=_largest_piece(unlike[i].numpy()), unlike_detail=_largest_piece(lost[i]),
+                         evenness=(evenness or {}).get(name))
             for i, (name, shown) in enumerate(overlap.items())]
 
 
@@ -121,13 +115,24 @@ def _sharpness(luminance: np.ndarray, plain: np.ndarray) -> np.ndarray:
     def differences(values: np.ndarray, way: np.ndarray) -> np.ndarray:
         return values - (np.roll(values, way, (1, 2)) + np.roll(values, -way, (1, 2))) / 2
 
-    ratios = np.array([[rms(f[p]) / math.sqrt(rms(c[p]) * rms(b[p]) or math.nan) if p.any() else math.nan
+    ratios = np.array([[_rms(f[p]) / math.sqrt(_rms(c[p]) * _rms(b[p]) or math.nan) if p.any() else math.nan
                         for f, c, b, p in zip(differences(fine, 4 * way), differences(coarse, 16 * way),
                                               level, plain)]
                        for way in np.array([(0, 1), (1, 0), (1, 1), (1, -1)])])
     if not np.isfinite(ratios).any():
         return np.ones(len(luminance))
     return np.nan_to_num((ratios / np.nanmedian(ratios, axis=1, keepdims=True)).min(axis=0), nan=1.0)
+
+
+def detail_of(pixels: np.ndarray) -> float:
+    """Finest detail of a whole photo (H x W x 3, 8 or 16 bits) over coarser detail."""
+    luminance = pixels.mean(axis=2, dtype=np.float32) / np.float32(np.iinfo(pixels.dtype).max)
+    smooth = cv2.GaussianBlur(luminance, (0, 0), 1.5)
+    return _rms(luminance - smooth) / max(_rms(smooth - cv2.GaussianBlur(luminance, (0, 0), 6)), 1e-9)
+
+
+def _rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.square(values).mean()))
 
 
 def _agreement(luminance: np.ndarray) -> np.ndarray:

@@ -13,12 +13,15 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
 
+import numpy as np
 from torch import Tensor
 
 from ... import color
 from ...material.resample import resized
 from ...views import Views
-from .photo_quality import PhotoQuality, photo_qualities
+from ..photo import Photo
+from ..rectify import LONG_SIDE
+from .photo_quality import PhotoQuality, detail_of, photo_qualities
 
 LEAST_OVERLAP = 0.95  # of the patch; texels beyond a photo's edge are filled in from the others
 MOST_CLIPPED = 0.4  # of the patch; 0.22
@@ -32,6 +35,8 @@ MOST_STOPS = 1.6  # brighter or darker than the others; 1.2
 UNLIKE, UNLIKE_DETAIL = 0.25, 0.28
 # of evenness (0: falls off as a flash's light does, 1: even); 0.65. Simulated photos without flash: 0.99
 MOST_EVENNESS = 0.8
+# detail of a whole photo, beside others; simulated blurred ones have 0.29 to 0.35, unrelated ones 0.63
+LEAST_DETAIL = 0.45
 SAME_PLACE, SAME_PICTURE = 0.05, 0.02  # patch sides, mean difference of display values; 0.135 and 0.035
 
 
@@ -142,3 +147,18 @@ def _twice(found: Sequence[PhotoQuality], photos: Tensor, views: Views,
             if near and not {photo.name, first.name} & {*rejected, *again}:
                 again[photo.name] = f"the same photo as {first.name}, from the same place"
     return again
+
+
+def blurred(photos: Sequence[Photo], reasons: Mapping[str, str],
+            others: Collection[np.ndarray]) -> dict[str, str]:
+    """A better reason for photos without a pose that are blurred, which is why they have none.
+
+    Args:
+        photos: without a pose.
+        reasons: why they are rejected, by name.
+        others: whole photos that have a pose, H x W x 3, 8 or 16 bits.
+    """
+    usual = float(np.median([detail_of(pixels) for pixels in others]))
+    sharpness = {photo.name: detail_of(photo.pixels(LONG_SIDE)) / usual for photo in photos}
+    return {name: f"blurred: {sharp:.2f} times as sharp as the others ({reasons[name]})"
+            for name, sharp in sharpness.items() if sharp < LEAST_DETAIL}
