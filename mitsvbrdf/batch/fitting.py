@@ -28,6 +28,7 @@ from .records import Material, Row
 from .results import NO_SPACE, WORK, ResultStore
 
 if TYPE_CHECKING:
+    from ..capture import Capture
     from ..material.maps import SVBRDF
     from ..render import Renderer
 
@@ -37,10 +38,6 @@ LOOK_SECONDS = 0.2  # between two looks at memory
 HELD = "killed when it held"  # the words of a worker before it ends itself
 
 SIDE = 192  # pixels a side of a preview, at most
-# of the patch: a highlight on it, and light aslant that shows relief
-LIGHTS = ((-0.35, 0.35, 1.3), (0.9, 0.5, 1.2))
-CAMERA = (0.0, 0.0, 2.2)
-BRIGHT = 0.9  # quantile of the radiance that becomes mid-bright
 QUALITY = 85
 
 
@@ -76,29 +73,23 @@ def fit_task(task: dict) -> Iterator[dict]:
 
 def _outcome(results: ResultStore, material: Material, attempt: str) -> dict:
     """Fit into the library; what the fit raises is told."""
+    started = time.perf_counter()
     try:
-        _fit_into(results, material, attempt)
+        with contextlib.suppress(OSError):  # paths in the options start there
+            os.chdir(material.base)
+        with (results.building(attempt) as made, local_capture(material.source) as capture,
+              strict(material.asked.get("strict", False))):
+            row = fit_capture(capture, made, material.asked)
+            row = msgspec.structs.replace(row, seconds=round(time.perf_counter() - started, 3))
+            results.publish(made, material.but(date=now(), host=socket.gethostname(), row=row))
         return {"state": "done", "reason": ""}
-    except (MitsvbrdfError, OSError) as reason:
-        cause = reason if isinstance(reason, OSError) else reason.__context__
-        full = isinstance(cause, OSError) and cause.errno in NO_SPACE
-        if isinstance(reason, OSError):
-            traceback.print_exc()
+    except MitsvbrdfError as reason:
+        full = isinstance(cause := reason.__context__, OSError) and cause.errno in NO_SPACE
         return {"state": "full" if full else "failed", "reason": str(reason)}
     except Exception as reason:
         traceback.print_exc()
-        return {"state": "failed", "reason": f"{type(reason).__name__}: {reason}"}
-
-
-def _fit_into(results: ResultStore, material: Material, attempt: str) -> None:
-    started = time.perf_counter()
-    with contextlib.suppress(OSError):  # paths in the options start there
-        os.chdir(material.base)
-    with (results.building(attempt) as made, local_capture(material.source) as capture,
-          strict(material.asked.get("strict", False))):
-        row = fit_capture(capture, made, material.asked)
-        row = msgspec.structs.replace(row, seconds=round(time.perf_counter() - started, 3))
-        results.publish(made, material.but(date=now(), host=socket.gethostname(), row=row))
+        full = isinstance(reason, OSError) and reason.errno in NO_SPACE
+        return {"state": "full" if full else "failed", "reason": f"{type(reason).__name__}: {reason}"}
 
 
 def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
@@ -130,7 +121,7 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
     if settings := options.detail_config(config):
         result = with_detail(result, shots, engine, settings)
     write_fit_files(result, shots, out, options.record(shots), shown, pages=asked["pages"])
-    write_preview(out / "preview.jpg", result.detail or result.svbrdf)
+    write_preview(out / "preview.jpg", result.detail or result.svbrdf, shots)
     return _row(out)
 
 
@@ -146,8 +137,8 @@ def _row(folder: Path) -> Row:
                photos=len(record["capture"]["photos"]))
 
 
-def write_preview(path: Path, svbrdf: SVBRDF) -> None:
-    """Write a JPEG of the patch under two point lights, seen from above."""
+def write_preview(path: Path, svbrdf: SVBRDF, shots: Capture) -> None:
+    """Write a JPEG of the fit as the first photo shows the material."""
     import cv2
     import numpy as np
     import torch
@@ -155,17 +146,13 @@ def write_preview(path: Path, svbrdf: SVBRDF) -> None:
     from .. import color
     from ..io.files import write_bytes
     from ..render import make_renderer
-    from ..views import Views
 
-    material = svbrdf.resized(min(SIDE, svbrdf.resolution))
-    views = Views.of([CAMERA] * len(LIGHTS), LIGHTS, [(1.0, 1.0, 1.0), (0.45, 0.45, 0.45)], 1.0)
     with torch.no_grad():
-        radiance = make_renderer("analytic").render(material, views).sum(dim=0)
-    level = float(radiance.mean(dim=-1).quantile(BRIGHT)) or 1.0
-    display = color.to_display(radiance * (0.45 / level), "srgb")
-    pixels = np.rint(display.numpy()[..., ::-1] * 255).clip(0, 255).astype(np.uint8)
-    data = cv2.imencode(".jpg", np.ascontiguousarray(pixels), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
-    write_bytes(path, data.tobytes())
+        radiance = make_renderer("analytic").render(svbrdf.resized(min(SIDE, svbrdf.resolution)),
+                                                    shots.views.pick([0]))[0]
+    pixels = np.rint(color.to_display(radiance, shots.transfer).numpy()[..., ::-1] * 255).clip(0, 255)
+    write_bytes(path, cv2.imencode(".jpg", np.ascontiguousarray(pixels.astype(np.uint8)),
+                                   [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes())
 
 
 def now() -> str:

@@ -8,7 +8,6 @@ import secrets
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
 
 import msgspec
 
@@ -31,14 +30,6 @@ MOST_UNREADY = 20  # workers in a row that may die before a fit
 LAST_WORDS = re.compile(rf"^(?:Fatal Python error: |{HELD} ).*", re.MULTILINE)
 
 
-@dataclass
-class Attempt:
-    """A fit that runs: of which material, and since when; None before its worker is ready."""
-
-    material: Material
-    began: float | None = None
-
-
 class Batch:
     """A library that is being filled.
 
@@ -59,7 +50,8 @@ class Batch:
         self.library, self.settings, self.token, self.tell = library, settings, token, tell
         self.name = secrets.token_hex(4)  # of this run, in the names of its attempts
         self.waiting = deque(sorted(work, key=lambda each: -each.cost))
-        self.running: dict[str, Attempt] = {}
+        self.running: dict[str, Material] = {}  # by the name of the attempt
+        self.began: dict[str, float] = {}  # when its worker was ready
         self.tried, self.lost = Counter[str](), Counter[str]()
         self.started, self.ended, self.failed, self.unready, self.trouble = time.monotonic(), 0, 0, 0, ""
         self._page_due = 0.0
@@ -114,36 +106,33 @@ class Batch:
                 "library": self.library.results.address, "token": self.token, "version": __version__,
                 "material": msgspec.to_builtins(material), "attempt": name, "threads": self.settings.threads,
                 "memory": self.memory})
-            self.running[name] = Attempt(material)
+            self.running[name] = material
             self.library.running.add(material.folder)
 
     def _overdue(self, name: str) -> float | None:
         """The limit of an attempt that takes more time than allowed; None of one that does not."""
-        attempt = self.running[name]
-        limit = self.settings.timeout or attempt.material.limit
-        late = limit and attempt.began is not None and time.monotonic() > attempt.began + limit
-        return limit if late else None
+        limit, now = self.settings.timeout or self.running[name].limit, time.monotonic()
+        return limit if limit and now > self.began.get(name, now) + limit else None
 
     def _heard(self, name: str, event: dict) -> None:
         """Take in what a task yielded."""
-        attempt = self.running.get(name)
-        if attempt is None:
+        if name not in self.running:
             return
         if "state" not in event:
             self._check_node(event)
-            attempt.began, self.unready = time.monotonic(), 0
+            self.began[name], self.unready = time.monotonic(), 0
             return
         if event["state"] == "cancelled" and (limit := self._overdue(name)):
             event |= {"state": "timeout", "reason": f"killed after {limit:g} s, the limit"}
-        elif event["state"] == "crashed" and attempt.began is None:  # before it looked at the capture
+        elif event["state"] == "crashed" and name not in self.began:  # before it looked at the capture
             event |= {"state": "lost"}
             self.unready += 1
             if self.unready > MOST_UNREADY:
                 raise BackendError("workers that start", f"{self.unready} in a row that died",
                                    "run `mitsvbrdf doctor`, on all nodes")
-        del self.running[name]
-        self.library.running.discard(attempt.material.folder)
-        self._ended(attempt.material, event | self._last_words(name, event))
+        material = self.running.pop(name)
+        self.library.running.discard(material.folder)
+        self._ended(material, event | self._last_words(name, event))
 
     def _check_node(self, about: dict) -> None:
         """Raise BackendError for a node that cannot take part."""

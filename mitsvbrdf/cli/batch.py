@@ -15,13 +15,12 @@ from typing import Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
-from ..batch.asked import Asked
+from ..batch.asked import Asked, Stock, take_stock
 from ..batch.captures import Entry, captures, told_with
 from ..batch.library import PAGE, Library
 from ..batch.results import FAILED, LOG, ResultStore
 from ..batch.run import Batch
 from ..batch.settings import BatchSettings
-from ..batch.stock import Stock, take_stock
 from ..batch.tasks import RayTasks, require_ray
 from ..errors import ConfigError
 from ..fit.config import FitConfig

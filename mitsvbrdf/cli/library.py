@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 from collections.abc import Sequence
 from typing import Annotated, Literal
@@ -12,11 +11,9 @@ from tyro.conf import Positional, arg
 from ..batch.library import Library, matches
 from ..batch.results import ResultStore
 from ..errors import MapsError
-from ..io.progress import console, progress_bar, say, several
+from ..io.progress import progress_bar, say, several
 
-COLUMNS = {"error": "{:.4f}", "held_out_error": "{:.4f}", "burn_in": "{:.2f}", "seconds": "{:.1f}",
-           "attempts": "{}"}
-WIDE = 32  # letters of a name that the list has room for beside its numbers, in a terminal of 80
+COLUMNS = ["state", "error", "held_out_error", "burn_in", "seconds", "attempts"]
 
 
 def library(
@@ -51,23 +48,15 @@ def library(
 
 
 def _print(chosen: Sequence[dict]) -> None:
-    from rich.console import Console
-    from rich.table import Table
+    import pandas
 
     if not chosen:
         say("no material matches")
         return
-    table = Table(title=several(len(chosen), "material"), title_justify="left", box=None, header_style="bold")
-    longest = max(len(_called(row)) for row in chosen)
-    table.add_column("material", overflow="fold", min_width=min(WIDE, longest))
-    table.add_column("state", no_wrap=True)
-    for heading in (*(name.replace("_", " ") for name in COLUMNS), "warnings"):
-        table.add_column(heading, justify="right")
-    for row in chosen:
-        numbers = ["" if row[name] is None else text.format(row[name]) for name, text in COLUMNS.items()]
-        table.add_row(_called(row), row["state"], *numbers, str(len(row["warnings"]) or ""))
-    with contextlib.suppress(BrokenPipeError):
-        (console if console.is_terminal else Console(width=1000)).print(table)  # a pipe has no width
+    table = pandas.DataFrame(chosen, columns=["material", *COLUMNS])
+    table["material"] = [_called(row) for row in chosen]
+    say(several(len(chosen), "material"))
+    say(table.to_string(index=False, na_rep="", float_format="{:.4f}".format))
     for row in chosen:
         if row["state"] == "failed":
             say(f"failed: {_called(row)}: {row['reason']}")

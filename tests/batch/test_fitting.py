@@ -14,10 +14,10 @@ from batch.chaos import make_captures
 from helpers.batches import asked, make_capture
 
 from mitsvbrdf import __version__
+from mitsvbrdf.batch.asked import take_stock
 from mitsvbrdf.batch.fitting import HELD, fit_capture
 from mitsvbrdf.batch.library import Library
 from mitsvbrdf.batch.results import ResultStore
-from mitsvbrdf.batch.stock import take_stock
 from mitsvbrdf.fit import HierarchicalConfig
 
 SIDE = 16

@@ -9,11 +9,11 @@ import pytest
 from helpers.batches import FakeTasks, asked, make_capture
 
 from mitsvbrdf.batch import run as module
+from mitsvbrdf.batch.asked import take_stock
 from mitsvbrdf.batch.library import Library
 from mitsvbrdf.batch.results import ResultStore
 from mitsvbrdf.batch.run import Batch
 from mitsvbrdf.batch.settings import BatchSettings
-from mitsvbrdf.batch.stock import take_stock
 from mitsvbrdf.errors import BackendError, OutputError
 from mitsvbrdf.fit import HierarchicalConfig
 

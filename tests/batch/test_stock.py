@@ -9,10 +9,10 @@ import pytest
 from helpers.batches import asked, make_capture, publish, result_of
 
 from mitsvbrdf.batch import asked as asked_module
+from mitsvbrdf.batch.asked import take_stock
 from mitsvbrdf.batch.fitting import now
 from mitsvbrdf.batch.library import Library
 from mitsvbrdf.batch.results import RECORD, ResultStore
-from mitsvbrdf.batch.stock import take_stock
 from mitsvbrdf.fit import HierarchicalConfig
 
 

@@ -12,9 +12,9 @@ from fuzz.words import DIRECT, FIT, RELIT
 from helpers.batches import asked, publish, result_of
 
 from mitsvbrdf import cli
+from mitsvbrdf.batch.asked import take_stock
 from mitsvbrdf.batch.library import Library
 from mitsvbrdf.batch.results import ResultStore
-from mitsvbrdf.batch.stock import take_stock
 from mitsvbrdf.capture import read_capture, write_capture
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
