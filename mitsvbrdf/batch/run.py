@@ -122,9 +122,10 @@ class Batch:
             self._check_node(event)
             self.began[name], self.unready = time.monotonic(), 0
             return
+        event |= self._last_words(name, event)
         if event["state"] == "cancelled" and (limit := self._overdue(name)):
             event |= {"state": "timeout", "reason": f"killed after {limit:g} s, the limit"}
-        elif event["state"] == "crashed" and name not in self.began:  # before it looked at the capture
+        elif event["state"] == "crashed" and name not in self.began and "log" not in event:  # before its fit
             event |= {"state": "lost"}
             self.unready += 1
             if self.unready > MOST_UNREADY:
@@ -132,7 +133,7 @@ class Batch:
                                    "run `mitsvbrdf doctor`, on all nodes")
         material = self.running.pop(name)
         self.library.running.discard(material.folder)
-        self._ended(material, event | self._last_words(name, event))
+        self._ended(material, event)
 
     def _check_node(self, about: dict) -> None:
         """Raise BackendError for a node that cannot take part."""
@@ -192,7 +193,7 @@ class Batch:
         parts = [f"{self.ended:,} of {self.ended + left:,} ended",
                  *(f"{n:,} {what}" for n, what in ((running, "running"), (self.failed, "failed")) if n)]
         if self.ended >= max(1, running) and left:  # earlier ends say too little
-            minutes = left * (time.monotonic() - self.started) / self.ended / 60
+            minutes = 1 + left * (time.monotonic() - self.started) / self.ended // 60
             parts.append(f"about {minutes:,.0f} min left")
         return ", ".join(parts)
 

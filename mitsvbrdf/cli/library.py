@@ -13,7 +13,7 @@ from ..batch.results import ResultStore
 from ..errors import MapsError
 from ..io.progress import progress_bar, say, several
 
-COLUMNS = ["state", "error", "held_out_error", "burn_in", "seconds", "attempts"]
+NUMBERS = ["error", "held_out_error", "burn_in", "seconds"]
 
 
 def library(
@@ -53,7 +53,8 @@ def _print(chosen: Sequence[dict]) -> None:
     if not chosen:
         say("no material matches")
         return
-    table = pandas.DataFrame(chosen, columns=["material", *COLUMNS])
+    columns = ["material", "state", *NUMBERS]
+    table = pandas.DataFrame(chosen, columns=columns).astype(dict.fromkeys(NUMBERS, float))
     table["material"] = [_called(row) for row in chosen]
     say(several(len(chosen), "material"))
     say(table.to_string(index=False, na_rep="", float_format="{:.4f}".format))
