@@ -64,9 +64,6 @@ def _interruptible(arguments: list[str]) -> int:
 def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:
     """The function of a command. ``fit`` and ``batch`` have the options of the method that arguments name."""
     function = getattr(importlib.import_module(f".{name}", __name__), name)
-    if name in FITTING:
-        from .fit import fit_command
-        function = fit_command(arguments, function)
 
     @functools.wraps(function)
     def checked(*values: Any, **options: Any) -> int:
@@ -75,6 +72,9 @@ def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:
         with refused(options.get("strict", False) and name != "batch"):  # `batch` tells its workers
             return function(*values, **options)
 
+    if name in FITTING:
+        from .fit import settings
+        return functools.partial(checked, config=settings(arguments))
     return checked
 
 

@@ -23,10 +23,9 @@ from ..batch.run import Batch
 from ..batch.settings import BatchSettings
 from ..batch.tasks import RayTasks, require_ray
 from ..errors import ConfigError
-from ..fit.config import FitConfig
 from ..fit.options import FitOptions
 from ..io.progress import progress_bar, say
-from .fit import fit_command, with_flags
+from .fit import Advanced, Settings, settings, with_flags
 from .options import Strict
 
 USUAL, USUAL_BATCH = FitOptions(), BatchSettings()
@@ -39,7 +38,7 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
               "options."), help_behavior_hint="(required)")],
           out: Annotated[str, arg(aliases=["-o"], metavar="LIBRARY", help=(
               "The library: a folder that all workers see, or a URL like s3://bucket/library."))],
-          config: FitConfig, shared: OmitArgPrefixes[FitOptions] = USUAL,
+          config: Settings, shared: OmitArgPrefixes[FitOptions] = USUAL,
           running: OmitArgPrefixes[BatchSettings] = USUAL_BATCH,
           method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"], arg(
               help="How to fit. `batch --method gan --help` shows its own options.")] = "hierarchical",
@@ -49,7 +48,7 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
               help="Words to find these materials by, commas between.")]] = (),
           sheet: Annotated[float | None, arg(metavar="CM", help=(
               "Measured size of the printed sheet of tags around the material in raw photos."))] = None,
-          strict: Strict = False) -> int:
+          strict: Strict = False, advanced: Advanced = False) -> int:
     """Fit many captures into one library, whatever dies on the way.
 
     `mitsvbrdf batch shots/ -o library` fits each capture in shots/. The options are those of `mitsvbrdf fit`.
@@ -93,16 +92,16 @@ def with_own_options(entry: Entry, base: Asked) -> Asked:
         return replace(base, entry=entry)
     import tyro
 
-    def line(config: FitConfig, shared: OmitArgPrefixes[FitOptions] = base.options, method: str = "",
+    def line(config: Settings, shared: OmitArgPrefixes[FitOptions] = base.options, method: str = "",
              pages: Literal["all", "none"] = "all" if base.pages else "none",
              tag: UseAppendAction[tuple[str, ...]] = (), sheet: float | None = base.sheet,
              strict: bool = base.strict) -> Asked:
         return Asked(entry, config, shared, pages == "all", (*base.tags, *_split(tag)), sheet, strict)
 
-    words, said = with_flags(list(entry.own)), io.StringIO()
+    words, said = with_flags(entry.own), io.StringIO()
     try:
         with contextlib.redirect_stderr(said):
-            asked = tyro.cli(fit_command(words, line, base.config), args=words, add_help=False,
+            asked = tyro.cli(partial(line, config=settings(words, base.config)), args=words, add_help=False,
                              config=(tyro.conf.FlagCreatePairsOff,))
     except SystemExit:
         raise ConfigError("options of `mitsvbrdf fit`, --tag, --pages or --sheet",

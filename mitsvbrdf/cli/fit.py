@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import inspect
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Sequence
+from dataclasses import field, fields, make_dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_type_hints
+from typing import Annotated, Any, Literal, cast, get_args, get_type_hints
 
 from tyro.conf import OmitArgPrefixes, Positional, Suppress, UseAppendAction, arg
 
@@ -31,6 +30,7 @@ from ..render import Renderer, make_renderer
 from .options import Out, Overwrite, Photos, Strict, check_new_files, keep_apart, read_photos
 
 USUAL = FitOptions()
+Settings = UseAppendAction[OmitArgPrefixes[FitConfig]]  # one flat set of options; --fix may be repeated
 Advanced = Annotated[bool, arg(help="With --help: show all options, also those for research.")]
 # Settings of methods that help shows without --advanced.
 SHOWN = ("bsdf", "budget", "iterations", "seed", "fix", "grey_specular", "calibrate", "flash_offset", "exact",
@@ -38,7 +38,7 @@ SHOWN = ("bsdf", "budget", "iterations", "seed", "fix", "grey_specular", "calibr
 THREE_WAYS = "--calibrate", "--exact"  # on, off or left to the fit
 
 
-def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitArgPrefixes[FitOptions] = USUAL,
+def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArgPrefixes[FitOptions] = USUAL,
         method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
                           arg(help="How to fit. `fit --method gan --help` shows the options of that method.")]
         = "hierarchical",
@@ -50,7 +50,7 @@ def fit(capture: Positional[Photos], out: Out, config: FitConfig, shared: OmitAr
             "checkpoint, for --pretrained."))] = False,
         resume: Annotated[bool, arg(
             help="Continue from the checkpoint in OUT, with equal options and more --iterations.")] = False,
-        overwrite: Overwrite = False, strict: Strict = False) -> int:
+        overwrite: Overwrite = False, strict: Strict = False, advanced: Advanced = False) -> int:
     """Recover the maps of a material from photos.
 
     `mitsvbrdf fit photos/ -o out` is enough. The default method ends by itself, after 120 s at the latest
@@ -133,35 +133,17 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
         page = LivePage(folder, out)
         say(f"live page: {page.path}")
 
-        def fitted(checkpoint: Path | None) -> Fit:
-            with Progress(title) as progress, profiling() if profile else contextlib.nullcontext():
-                return fit_svbrdf(shots, engine, config, checkpoint=folder / results.CHECKPOINT,
-                                  resume=checkpoint, report=progress, live=page)
-
-        result, before = _from_first_of(earlier, fitted) if resume else (fitted(None), None)
-        if settings := options.detail_config(config):
+        before = load_tensors(earlier[0])[1].get("iteration") if resume else None
+        with Progress(title) as progress, profiling() if profile else contextlib.nullcontext():
+            result = fit_svbrdf(shots, engine, config, checkpoint=folder / results.CHECKPOINT,
+                                resume=earlier[0] if resume else None, report=progress, live=page)
+        if detail := options.detail_config(config):
             with progress_bar("plausible detail") as finish_report:
-                result = with_detail(result, shots, engine, settings, finish_report)
+                result = with_detail(result, shots, engine, detail, finish_report)
         last.enter_context(deferred_signals())  # until all is in place
         write_fit_files(result, shots, folder, command=options.record(shots), held_out=shown)
         page.end()
     return result, before
-
-
-def _from_first_of(checkpoints: Sequence[Path], fitted: Callable[[Path], Fit]) -> tuple[Fit, int | None]:
-    """Resume from the first checkpoint of this fit; a leftover of another fit hides no finished one."""
-    wrong: list[ConfigError] = []
-    for path in checkpoints:
-        try:
-            before = load_tensors(path)[1].get("iteration")
-            result = fitted(path)
-        except ConfigError as reason:
-            wrong.append(reason)
-            continue
-        if wrong:
-            say(f"went on from {path}; what was left unfinished was another fit: {wrong[0].got}")
-        return result, before
-    raise wrong[0]
 
 
 def _say_detail(result: Fit) -> None:
@@ -202,65 +184,40 @@ def _say_result(result: Fit, shots: Capture, before: int | None) -> None:
         say(f"warning: {warning}")
 
 
-def fit_command(arguments: Sequence[str], function: Callable[..., Any] = fit,
-                usual: FitConfig | None = None) -> Callable[..., Any]:
-    """A function of a ``config`` with the settings of the method that the arguments name as its options.
+def settings(arguments: Sequence[str], usual: FitConfig | None = None) -> FitConfig:
+    """The settings whose fields are the options: of the method, and its preset, that the arguments name.
 
     Args:
         arguments: of the command line. With --help and without --advanced, only usual options are shown.
-        function: what is called.
         usual: settings that the arguments change. Default, and for another method: that method's defaults.
     """
-    def command(*values: Any, **options: Any) -> Any:
-        options.pop("advanced", None)
-        return function(*values, **options)
-
     asked = _asked(arguments)
     kind = METHODS[asked.method or (method_name(usual) if usual else next(iter(METHODS)))].config
     if isinstance(usual, kind) and not asked.preset:
-        default: FitConfig = usual
-    else:
-        presets = get_args(get_type_hints(kind).get("preset"))
-        settings: dict[str, Any] = {"preset": asked.preset} if asked.preset in presets else {}
-        default = kind(**settings)
-    shown = kind
-    if asked.help and not asked.advanced:
-        shown = _usual_only(kind)
-        default = shown(**vars(default))
-    signature = inspect.signature(function)
-    parameters = [each.replace(default=default) if each.name == "config" else each
-                  for each in signature.parameters.values()]
-    parameters.append(inspect.Parameter("advanced", inspect.Parameter.KEYWORD_ONLY, default=False,
-                                        annotation=Advanced))
-    # One flat set of options; --fix may be repeated.
-    config = UseAppendAction[OmitArgPrefixes[shown]]  # type: ignore[misc, valid-type]
-    command.__doc__ = function.__doc__
-    command.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]
-    command.__annotations__ = (get_type_hints(function, include_extras=True)
-                               | {"config": config, "advanced": Advanced})
-    return command
+        return usual
+    presets = get_args(get_type_hints(kind).get("preset"))
+    found = kind(**({"preset": asked.preset} if asked.preset in presets else {}))
+    return _usual_only(found) if asked.help and not asked.advanced else found
 
 
-def _usual_only(kind: type[FitConfig]) -> type[FitConfig]:
-    """Settings of which help shows the usual ones alone."""
+def _usual_only(config: FitConfig) -> FitConfig:
+    """The same settings; help shows the usual ones alone."""
+    kind, hide = type(config), cast(Any, Suppress)
     hints = get_type_hints(kind, include_extras=True)
-    hide: Any = Suppress
-    hidden = [(each.name, hide[hints[each.name]]) for each in fields(kind) if each.name not in SHOWN]
-    return dataclass(frozen=True)(type(kind.__name__, (kind,), {
-        "__annotations__": dict(hidden), "__doc__": kind.__doc__, "__module__": kind.__module__,
-        **{name: getattr(kind, name) for name, _ in hidden}}))
+    hidden = [(each.name, hide[hints[each.name]], field(default=each.default)) for each in fields(kind)
+              if each.name not in SHOWN]
+    shown = make_dataclass(kind.__name__, hidden, bases=(kind,), frozen=True,
+                           namespace={"__doc__": kind.__doc__, "__module__": kind.__module__})
+    return shown(**vars(config))
 
 
-def with_flags(arguments: list[str]) -> list[str]:
+def with_flags(arguments: Sequence[str]) -> list[str]:
     """Arguments with --calibrate, --exact and their --no- as True and False. Unsaid, the fit decides."""
-    if _asked(arguments).method not in (None, "hierarchical"):
-        return arguments
-    found = []
+    found: list[str] = []
     for here, after in zip(arguments, [*arguments[1:], ""]):
-        alone = here in THREE_WAYS and after not in ("True", "False", "None")
-        denied = here.replace("--no-", "--", 1)
-        found += ([here, "True"] if alone else [denied, "False"] if denied != here and denied in THREE_WAYS
-                  else [here])
+        name = here.replace("--no-", "--", 1)
+        alone = name in THREE_WAYS and after not in ("True", "False", "None")
+        found += [name, str(here == name)] if alone else [here]
     return found
 
 

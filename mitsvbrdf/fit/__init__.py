@@ -83,7 +83,7 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
     Loop(make_method(FitTask(one, renderer, config)), one, renderer, config, checkpoint, report).run()
 
 
-FitResult = Fit  # its name until version 0.2; it goes in the next one
+FitResult = Fit  # its name in version 1; version 2.1 drops it
 
 __all__ = ["DirectConfig", "Fit", "FitConfig", "FitResult", "FitTask", "GanConfig", "HierarchicalConfig",
            "HybridConfig", "fit_svbrdf", "make_method", "pretrain"]

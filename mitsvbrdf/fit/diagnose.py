@@ -18,7 +18,6 @@ from ..io.provenance import machine, versions
 from ..material.maps import SVBRDF
 from ..measure.burn_in import burn_in, local_burn_in
 from ..measure.rerender import rerender
-from ..render import Renderer
 from ..views import Views, shift_lights
 from .confidence import confidence, deviations
 from .light_power import light_power_told, with_light_power
@@ -43,26 +42,25 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
     capture, renderer, config, method = task.capture, task.renderer, task.config, loop.method
     assert loop.best is not None
     _, svbrdf, views = loop.best
-    images, total, each = rerender(renderer, svbrdf, views, capture)
-    with profiled("uncertainty"):
-        spreads = deviations(svbrdf, views, images, task)
-        told = light_power_told(svbrdf, spreads) if task.light_power_unknown else None
-        if told:
-            svbrdf, views = with_light_power(svbrdf, told), replace(views, intensity=views.intensity * told)
-            images, total, each = rerender(renderer, svbrdf, views, capture)
-            spreads = deviations(svbrdf, views, images, task)
+    images, total, each, spreads = _looked_at(svbrdf, views, task)
+    told = light_power_told(svbrdf, spreads) if task.light_power_unknown else None
+    if told:
+        svbrdf, views = with_light_power(svbrdf, told), replace(views, intensity=views.intensity * told)
+        images, total, each, spreads = _looked_at(svbrdf, views, task)
     # Of all photos: where each has a camera and a flash of its own besides, they move around what is common.
     moved = (views.light - views.camera) - (capture.views.light - capture.views.camera)
     x, y = (moved.mean(dim=0)[:2] / views.size).tolist()
+    calibration = views_record(capture, views, task.estimated, *method.views_deviation, told)
+    stated = _stated_views(capture, views, (x, y), told)
+    calibrated_rmse = rerender(renderer, svbrdf, stated, capture)[1] if stated else None
     profile = profile_summary()
     record = {"schema_version": SCHEMA_VERSION, "method": method_name(config),
         "renderer": renderer.name, "variant": renderer.variant, "bsdf": svbrdf.bsdf,
         "rerender_rmse": total, "per_photo": dict(zip(capture.names, each)),
-        "calibrated_rmse": _calibrated_rmse(svbrdf, views, capture, renderer, moved.mean(dim=0), told),
+        "calibrated_rmse": calibrated_rmse,
         "confidence": confidence(spreads), "burn_in": burn_in(svbrdf, views),
         "local_burn_in": local_burn_in(svbrdf, views), "warnings": [],
         "stopped": stopped, "undone_steps": len(loop.undone), "undone": list(loop.undone),
-        "restarts": list(loop.restarts),
         "seconds": loop.trace[-1]["seconds"], "iterations": loop.trace[-1]["iteration"],
         "seed": config.seed, "config": asdict(config) | {"fix": list(config.fix)}, "command": {},
         "omitted": [each._asdict() for each in (*omitted_by(task, views), *method.omitted)],
@@ -73,7 +71,7 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
         "views": {"size": views.size, "falloff": views.falloff, "camera": views.camera.tolist(),
                   "light": views.light.tolist(), "intensity": views.intensity.tolist()},
         "flash_offset": {"x": x, "y": y, "unit": "patch sides"} if method.fits_offset else None,
-        "calibration": views_record(capture, views, task.estimated, *method.views_deviation, told),
+        "calibration": calibration,
         **({"profile": profile} if profile else {}),
         "versions": versions(), "machine": machine(), "trace": loop.trace}
     fit = Fit(record, known={"svbrdf": svbrdf, "views": views, "guess": task.guess, "photos": capture.photos,
@@ -82,17 +80,22 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
     return fit.but(warnings=(*capture.notes[len(notes):], *fit_warnings(fit, capture)))
 
 
-def _calibrated_rmse(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Renderer, offset: Tensor,
-                     told: float | None) -> float | None:
-    """The error with stated views and common changes; None where no single view moved or none is stated."""
+def _looked_at(svbrdf: SVBRDF, views: Views, task: FitTask) -> tuple[Tensor, float, list[float],
+                                                                     dict[str, Tensor]]:
+    """Re-rendered photos, their error, that of each photo, and the deviations of the maps."""
+    images, total, each = rerender(task.renderer, svbrdf, views, task.capture)
+    with profiled("uncertainty"):
+        return images, total, each, deviations(svbrdf, views, images, task)
+
+
+def _stated_views(capture: Capture, views: Views, offset: tuple[float, float],
+                  told: float | None) -> Views | None:
+    """The stated views with common changes; None where no single view moved or none is stated."""
     given = capture.views
-    x, y = (offset[:2] / given.size).tolist()
-    stated = replace(shift_lights(given, (x, y)), intensity=given.intensity * (told or 1.0))
+    stated = replace(shift_lights(given, offset), intensity=given.intensity * (told or 1.0))
     pairs = ((stated.camera, views.camera), (stated.light, views.light), (stated.intensity, views.intensity))
-    if not capture.calibrated or all(torch.allclose(one, other.to(one.dtype), rtol=1e-6)
-                                     for one, other in pairs):
-        return None
-    return rerender(renderer, svbrdf, stated, capture)[1]
+    moved = any(not torch.allclose(one, other.to(one.dtype), rtol=1e-6) for one, other in pairs)
+    return stated if capture.calibrated and moved else None
 
 
 def views_record(capture: Capture, views: Views, estimated: EstimatedViews | None, refined: Tensor | None,

@@ -85,4 +85,4 @@ class Live:
             svbrdf.detach().resized(min(SIDE, svbrdf.resolution)),
             capture.source.name if capture.source else "", method_name(method.config), loop.renderer.name,
             capture.resolution, loop.iteration, loop.seconds, loop.progress, stopped, loop.latest_is_best,
-            loop.trace, [*self.about_photos, *about_steps(loop.undone, loop.restarts)])
+            loop.trace, [*self.about_photos, *about_steps(loop.undone)])

@@ -26,16 +26,9 @@ from .method import Method, finite
 
 CHECKPOINT_SECONDS = 30.0
 MAX_UNDONE = 20
-# A loss this many times its lowest, at so many measurements running, is that of a fit that diverges. Measured
-# on twelve real captures, `hybrid` and `direct`: at no measurement was the loss above its lowest at all.
-DIVERGED, PATIENCE = 1.5, 5
-# losses that a fit lowers; adversarial ones move the goal
-FALLING = ("photometric", "diffuse", "smooth", "flat")
-
-BACK = {"iteration": int, "reason": str}
-NOTE = {"iteration": int, "seconds": NUMBER, "undone": [BACK], "restarts": [BACK], "lowest_loss": NUMBER,
-        "rising": int,
-        "best_rmse": NUMBER, "trace": [{str: NUMBER}]}  # what a run goes on from beside tensors
+# what a run goes on from beside tensors
+NOTE = {"iteration": int, "seconds": NUMBER, "undone": [{"iteration": int, "reason": str}],
+        "best_rmse": NUMBER, "trace": [{str: NUMBER}]}
 
 Seen = tuple[float, SVBRDF, Views]  # re-rendering error, material and views of a state
 
@@ -70,12 +63,9 @@ class Loop:
         self.latest_is_best = method.latest_is_best
         self.iteration, self.seconds = 0, 0.0
         self.undone: list[dict] = []  # iteration and reason of each step taken back
-        self.restarts: list[dict] = []  # and of each return to the state of the lowest loss
         self.trace: list[dict] = []
         self.seen: Seen  # at the latest measurement
         self.best: Seen | None = None
-        self.lowest: tuple[float, dict[str, Tensor]] = (math.inf, {})  # loss, and the state that had it
-        self.rising = 0  # measurements running at which the loss was DIVERGED times the lowest
 
     def run(self) -> str:
         """Advance until a limit or Ctrl-C; returns why it ended, as :attr:`Fit.stopped` says."""
@@ -115,7 +105,7 @@ class Loop:
         self._record(seen, {})
 
     def _advance(self, good: dict[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, float]]:
-        """One step, taken back where its result is not finite or the fit diverges.
+        """One step, taken back where its result is not finite.
 
         Args:
             good: a sound state to go back to; the present one where a measurement was just made.
@@ -132,8 +122,6 @@ class Loop:
         if broken:
             return self._undo(good, f"{broken[-1]} not finite"), {}
         losses.pop("gradient", None)
-        if self.iteration % self.beat == 0 and self._diverges(losses, good):
-            return self._restart(), {}
         self.iteration += 1
         if self.iteration % self.beat == 0:
             self.seconds = time.perf_counter() - self.started
@@ -166,26 +154,6 @@ class Loop:
             except NotFiniteError as error:
                 return error.got
             return (rmse, svbrdf, views) if finite(images) else "a re-rendered photo not finite"
-
-    def _diverges(self, losses: dict[str, float], state: dict[str, Tensor]) -> bool:
-        """Whether the loss, which is that of ``state``, has been far above its lowest for long."""
-        if "photometric" not in losses:
-            return False  # a game between two networks has no loss that must fall
-        loss = sum(self.config.weights[name] * losses[name] for name in FALLING if name in losses)
-        if loss < self.lowest[0]:
-            self.lowest = loss, state
-        self.rising = self.rising + 1 if loss > DIVERGED * self.lowest[0] else 0
-        return self.rising >= PATIENCE
-
-    def _restart(self) -> dict[str, Tensor]:
-        loss, state = self.lowest
-        self.restarts.append({"iteration": self.iteration, "reason": (
-            f"loss above {DIVERGED:g} times its lowest, {loss:.3g}, for {PATIENCE * self.beat} iterations")})
-        self.method.load_state(state)
-        for _ in self.restarts:  # each time by more: a step size far too large is found in a few rounds
-            self.method.cut_step()
-        self.lowest, self.rising = (loss, self.method.state()), 0
-        return self.lowest[1]
 
     def _undo(self, good: dict[str, Tensor], why: str) -> dict[str, Tensor]:
         self.undone.append({"iteration": self.iteration, "reason": why})
@@ -235,14 +203,12 @@ class Loop:
         if not all(map(finite, state.values())):
             return
         rmse, svbrdf, views = self.best or (math.inf, *self.method.estimate())
-        tensors = ({f"method.{k}": v for k, v in state.items()}
-                   | {f"lowest.{k}": v for k, v in self.lowest[1].items()})
+        tensors = {f"method.{k}": v for k, v in state.items()}
         tensors |= {f"best.{k}": v for k, v in svbrdf.maps.items()}
         tensors |= {f"best_views.{name}": getattr(views, name) for name in ("camera", "light", "intensity")}
         note = {"iteration": self.iteration, "seconds": self.seconds, "undone": self.undone,
-                "restarts": self.restarts,
-                "lowest_loss": self.lowest[0], "rising": self.rising, "best_rmse": rmse, "trace": self.trace,
-                "method": type(self.method).__name__, "bsdf": svbrdf.bsdf, "task": self._task()}
+                "best_rmse": rmse, "trace": self.trace, "method": type(self.method).__name__,
+                "bsdf": svbrdf.bsdf, "task": self._task()}
         with profiled("checkpoint"):
             save_tensors(self.checkpoint, tensors, note)
 
@@ -277,5 +243,4 @@ class Loop:
                               "resume with the options of the first run") from None
         self.seen = self.best = note["best_rmse"], best, views
         self.iteration, self.seconds, self.trace = note["iteration"], note["seconds"], note["trace"]
-        self.undone, self.restarts, self.rising = note["undone"], note["restarts"], note["rising"]
-        self.lowest = note["lowest_loss"], part(tensors, "lowest.")
+        self.undone = note["undone"]

@@ -186,11 +186,6 @@ class Fit:
         return self._or("undone", lambda: tuple(self.record["undone"]))
 
     @property
-    def restarts(self) -> tuple[dict, ...]:
-        """The same of each return to the state of the lowest loss, after the fit had diverged."""
-        return self._or("restarts", lambda: tuple(self.record["restarts"]))
-
-    @property
     def detail_record(self) -> dict | None:
         """Settings, seconds and losses of the plausible detail, or None."""
         return self.record.get("detail")

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import statistics
-from collections.abc import Iterator, Sequence, Sized
+from collections.abc import Iterator, Sequence
 
 import torch.nn.functional as F
 from torch import Tensor
@@ -13,9 +12,8 @@ from ..capture import Capture
 from ..color import CLIPPED
 from ..measure.burn_in import LOCAL_SIDE, burn_in, local_burn_in
 from .confidence import DETERMINED, confidence
-from .config import HierarchicalConfig, HybridConfig
+from .config import HierarchicalConfig
 from .fixed_maps import described
-from .gan_config import GanConfig
 from .result import Fit
 
 # Behind each number, what twelve real captures of nine photos had, fitted with `hybrid` and `direct` at 64
@@ -45,13 +43,6 @@ POOR = 0.1  # re-rendering RMSE
 BURNT_IN = 0.3
 # the same of single highlights; known materials under the views of six captures have 0.13 at most
 OVALS = 0.2
-# Error with views as stated over that with views as refined: `inlay` at 48 px had 1.05 with true views, 1.09
-# with a flash beside the lens, 1.7 with cameras 0.03 patch sides off.
-NO_BETTER = 1.2
-# Discriminator loss, median over the last fifth of the measurements, and how many measurements it takes to
-# speak of one. Runs that went well ended at 0.05 to 0.7, hinge 0.4 to 1; with photos that no rendering
-# resembles, at 0.004 and less.
-SURE, MEASURED = 0.01, 5
 
 
 def fit_warnings(result: Fit, capture: Capture) -> Iterator[str]:
@@ -62,21 +53,17 @@ def fit_warnings(result: Fit, capture: Capture) -> Iterator[str]:
     yield from _errors(result, capture)
     yield from _burnt_in(result)
     yield from _cut_short(result)
-    yield from _game(result)
-    yield from _refined_for_nothing(result)
-    yield from about_steps(result.undone, result.restarts)
+    yield from about_steps(result.undone)
     if result.stopped == "unstable":
         yield ("too many steps had to be undone, so the fit ended early: lower the learning rate or "
                "check the calibration")
 
 
-def about_steps(undone: Sequence[dict], restarts: Sequence[dict]) -> Iterator[str]:
-    """Warnings about steps taken back so far."""
+def about_steps(undone: Sequence[dict]) -> Iterator[str]:
+    """The warning about steps taken back so far."""
     if undone:
-        yield (f"{_count(undone, 'step')} undone; the first at iteration {undone[0]['iteration']}: "
-               f"{undone[0]['reason']}")
-    if restarts:
-        yield f"the fit diverged and went back to its lowest loss {_count(restarts, 'time')}"
+        yield (f"{len(undone)} step{'s' if len(undone) > 1 else ''} undone; the first at iteration "
+               f"{undone[0]['iteration']}: {undone[0]['reason']}")
 
 
 def about_photos(capture: Capture) -> Iterator[str]:
@@ -190,37 +177,3 @@ def _cut_short(result: Fit) -> Iterator[str]:
     elif isinstance(result.config, HierarchicalConfig) and result.stopped in ("budget", "iterations",
                                                                               "interrupted"):
         yield "the fit ended before it had settled: give more seconds or iterations"
-
-
-def _game(result: Fit) -> Iterator[str]:
-    """Whether the discriminator was so sure that its verdict says little about what to change."""
-    losses, config = [entry["discriminator"] for entry in result.trace
-                      if "discriminator" in entry], result.config
-    if len(losses) < MEASURED:
-        return
-    loss = statistics.median(losses[-math.ceil(len(losses) / 5):])
-    if loss < SURE and isinstance(config, (GanConfig, HybridConfig)):
-        guess = 1.0 if isinstance(config, GanConfig) and config.game == "hinge" else math.log(2)
-        rate = (f"--discriminator-rate, now {config.discriminator_rate:g}" if isinstance(config, GanConfig)
-                else "--adversarial")
-        yield ("the discriminator told renderings from photos almost surely (its loss in the end "
-               f"{loss:.2g}; {guess:.2g} is a guess), so it hardly helped: lower {rate}")
-
-
-def _refined_for_nothing(result: Fit) -> Iterator[str]:
-    """Whether stated views were refined although exact photos are explained as well without."""
-    from .hierarchical.omitted import TIED
-    from .hierarchical.view_corrections import TILTED  # with OpenCV, which results alone do not need
-
-    stated, offset = result.calibrated_rmse, math.hypot(*(result.flash_offset or (0.0, 0.0)))
-    # only exact photos are not tied
-    if not (result.config.refines_views and stated and TIED in dict(result.omitted)):
-        return
-    if stated < NO_BETTER * result.rerender_rmse and offset < TILTED:
-        yield (f"the stated views explain the photos to {stated:.2g}, the refined ones to "
-               f"{result.rerender_rmse:.2g}: there "
-               "was nothing to mend, and new views may come out worse; leave --calibrate out")
-
-
-def _count(events: Sized, what: str) -> str:
-    return f"{len(events)} {what}{'s' if len(events) > 1 else ''}"

@@ -12,9 +12,6 @@ from helpers.unfinished import unfinished
 from helpers.variants import mostly_slow
 
 from mitsvbrdf import cli
-from mitsvbrdf.cli.fit import _from_first_of
-from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.fit.checkpoint import save_tensors
 from mitsvbrdf.io import images, results
 from mitsvbrdf.material.map_files import load_maps
 
@@ -132,25 +129,6 @@ def test_an_unfinished_fit_is_not_thrown_away(shots, tmp_path, capsys):
         fails(capsys, tmp_path, command, "--resume")
     assert cli.main(["fit", str(shots), "-o", str(out), *FAST, "--resume"]) == 0
     assert not partial.exists() and (out / "fit.json").is_file()
-
-
-def test_the_first_checkpoint_that_is_of_this_fit_is_gone_on_from(tmp_path, capsys):
-    torn, other, finished = (tmp_path / name for name in ("torn", "other", "finished"))
-    torn.write_bytes(b"half")
-    for iteration, path in enumerate((other, finished)):
-        save_tensors(path, {}, {"iteration": iteration})
-
-    def fitted(path):
-        if path == other:
-            raise ConfigError("the same photos", "others", "give them")
-        return path.name
-
-    assert _from_first_of([finished, other], fitted) == ("finished", 1) and not capsys.readouterr().out
-    assert _from_first_of([torn, other, finished], fitted) == ("finished", 1)
-    said = capsys.readouterr().out
-    assert f"went on from {finished}; what was left unfinished was another fit: {torn}" in said
-    with pytest.raises(ConfigError, match="got others"):
-        _from_first_of([other, torn], fitted)
 
 
 def test_results_are_only_replaced_when_asked(shots, tmp_path, capsys):

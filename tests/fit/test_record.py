@@ -13,7 +13,7 @@ RECORD = {"schema_version": 1, "method": "direct", "renderer": "analytic", "vari
     "bsdf": "roughconductor", "rerender_rmse": 0.1, "per_photo": {"00": 0.1}, "calibrated_rmse": None,
     "confidence": {"diffuse": {"median_sd": 0.1, "determined_share": 1.0}}, "burn_in": {"diffuse": 0.0},
     "warnings": [],
-    "stopped": "iterations", "undone_steps": 0, "undone": [], "restarts": [], "seconds": 1.0, "iterations": 1,
+    "stopped": "iterations", "undone_steps": 0, "undone": [], "seconds": 1.0, "iterations": 1,
     "seed": 0, "config": {"fix": [], "grey_specular": False}, "command": {}, "omitted": [], "used": [],
     "capture": {"name": "shots", "photos": [0], "resolution": 8, "transfer": "srgb", "calibrated": True,
                 "notes": []},

@@ -25,15 +25,13 @@ from mitsvbrdf.report.folder import write_fit
 
 def test_trouble_is_told(copy):
     record = json.loads((copy / "fit.json").read_text())
-    record |= {"warnings": ["<b>doubt</b> & more"], "stopped": "interrupted", "undone_steps": 1, "restarts": [
-        {"iteration": 70, "reason": "loss above 1.5 times its lowest"}], "undone": [
+    record |= {"warnings": ["<b>doubt</b> & more"], "stopped": "interrupted", "undone_steps": 1, "undone": [
         {"iteration": 7, "reason": "loss not finite"}], "trace": record["trace"][:1]}
     (copy / "fit.json").write_text(json.dumps(record))
     write_report(copy, quick=True)
     page = Page(copy / "report.html")
     assert "<b>doubt</b> & more" in page.text
     assert page.row("step undone") == ["7", "loss not finite"]
-    assert page.row("back to the lowest loss") == ["70", "loss above 1.5 times its lowest"]
 
 
 def changed(**fields):
