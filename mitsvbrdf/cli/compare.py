@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -11,8 +10,8 @@ from typing import TYPE_CHECKING, Annotated
 from tyro.conf import Positional, arg
 
 from ..capture import guess_diffuse
-from ..errors import ConfigError, MapsError
-from ..io import files, images
+from ..errors import ConfigError
+from ..io import files
 from ..io.progress import print_numbers, say, say_written
 from ..render import RendererName, make_renderer
 from ..views import photo_numbers
@@ -29,6 +28,7 @@ from .options import (
     check_side,
     fit_of_maps,
     material_of,
+    name_of,
     read_photos,
 )
 
@@ -39,7 +39,8 @@ LARGEST_SIDE = 256  # pixels a side, where nothing else is asked for
 
 
 def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", help=(
-                "Folders of maps, published or the OUT of fits, or builtin:NAME. NAME= sets the caption."))]],
+                "Folders of maps, published or the OUT of fits, or builtin:NAME. NAME= sets the caption. "
+                "Default: the folder's name."))]],
             capture: Annotated[Path, arg(metavar="CAPTURE", help="The photos.")], out: Out,
             reference: Reference = None, views: ViewList = None,
             resolution: Annotated[int | None, arg(
@@ -67,7 +68,7 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
     check_side(resolution)
     sources = [*map(_folder, maps), reference]
     check_new_files(out, json_file, overwrite=overwrite, photos=capture, read=sources)
-    entries = _named_apart([_entry(text, resolution or LARGEST_SIDE) for text in maps])
+    entries = [_entry(text, resolution or LARGEST_SIDE) for text in maps]
     size = resolution or min(LARGEST_SIDE, *(entry.svbrdf.resolution for entry in entries))
     photos, chosen = read_photos(capture, size, None, transfer, "inverse-square"), photo_numbers(views)
     shots = photos if chosen is None else photos.pick(chosen)
@@ -96,27 +97,14 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
 
 
 def _entry(text: str, resolution: int) -> Entry:
-    """Maps, name and fit of ``[NAME=]MAPS``; an existing folder with a = in its name is that folder."""
+    """Maps, name and fit of ``[NAME=]MAPS``; the folder is the name of maps without one."""
     from ..evaluate.compare import Entry
 
     maps = _folder(text)
-    name = text[:len(text) - len(maps)].removesuffix("=")
-    svbrdf = material_of(maps, resolution)
-    if maps.startswith("builtin:"):
-        return Entry(name or maps.removeprefix("builtin:"), maps, svbrdf)
-    fit = fit_of_maps(maps)
-    guess = fit.path / "guess" / "diffuse.exr"
-    return Entry(name or fit.method or fit.path.name, maps, svbrdf, fit,
-                 images.read_image(guess, MapsError) if guess.is_file() else None)
+    name = text[:len(text) - len(maps)].removesuffix("=") or name_of(maps)
+    return Entry(name, maps, material_of(maps, resolution), fit_of_maps(maps))
 
 
 def _folder(text: str) -> str:
-    """MAPS of ``[NAME=]MAPS``."""
+    """MAPS of ``[NAME=]MAPS``; an existing folder with a = in its name is that folder."""
     return text if os.path.exists(text) or "=" not in text else text.partition("=")[2]
-
-
-def _named_apart(entries: list[Entry]) -> list[Entry]:
-    """Entries whose name another one has are called by their folder too."""
-    names = [entry.name for entry in entries]
-    return [entry if names.count(entry.name) == 1 else replace(entry, name=f"{entry.name} ({entry.folder})")
-            for entry in entries]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -15,7 +15,7 @@ from ..errors import ConfigError
 from ..io import files
 from ..io.progress import print_rich, progress_bar, say, say_written
 from ..material.maps import SVBRDF, Bsdf
-from ..render import RENDERERS, RendererName, make_renderer
+from ..render import RENDERERS, make_renderer
 from ..views import Falloff, shift_lights
 from .options import (
     JsonFile,
@@ -52,6 +52,7 @@ def crosscheck(
 
     The exit code is 1 when a stated tolerance does not hold. docs/evaluation.md explains the figures.
     """
+    from ..report.page import figure
     from ..verify import crosscheck as checks
 
     if repeats < 1:
@@ -60,21 +61,18 @@ def crosscheck(
     check_new_files(json_file, html_file, overwrite=overwrite, read=[maps], photos=views)
     materials, falloff, offset, transfer = _materials(maps, resolution)
     names, lit = views_of(views, falloff)
-    say(f"{len(names)} views of {views}" + (
-        "; --views CAPTURE renders those of its photos" if maps and views.startswith("builtin:") else ""))
+    say(f"{len(names)} views of {views}")
     if offset:
         say(f"with the flash offset of the fit, ({offset[0]:.3f}, {offset[1]:.3f}) patch sides")
     lit = shift_lights(lit, offset)
     bsdfs: list[Bsdf] = list(get_args(Bsdf)) if bsdf == "all" else [bsdf]
-    engines: tuple[RendererName, ...] = RENDERERS if renderer == "all" else (renderer,)
-    renderers = [make_renderer(name, variant) for name in engines]
+    renderers = [make_renderer(name, variant) for name in (RENDERERS if renderer == "all" else (renderer,))]
     error_maps: dict = {}
+    command = {"maps": maps and Path(maps).name, "views": Path(views).name, "bsdf": bsdf,
+               "renderer": renderer, "repeats": repeats, "resolution": resolution, "variant": variant}
     with progress_bar("crosscheck") as report:
         record = checks.crosscheck(materials, lit, bsdfs, renderers, repeats, names=names, transfer=transfer,
-                                   error_maps=error_maps, report=report,
-                                   command={"maps": maps and Path(maps).name, "views": Path(views).name,
-                                            "bsdf": bsdf, "renderer": renderer, "repeats": repeats,
-                                            "resolution": resolution, "variant": variant})
+                                   error_maps=error_maps, report=report, command=command)
     if json_file:
         files.write_json(json_file, record)
     if html_file:
@@ -82,7 +80,13 @@ def crosscheck(
         write_crosscheck_page(html_file, record, error_maps)
     _print(record)
     say_written(json_file, html_file)
-    return _verdict(record)
+    for found in record["violations"]:
+        limit = f" (float32 limit {figure(found['limit'])})" if found["limit"] else ""
+        say(f"exceeded: {found['material']} · {found['bsdf']} · {found['renderer']}: {found['what']} "
+            f"{found['value']:.3g} > {figure(found['tolerance'])}{limit}")
+    count = len(record["violations"])
+    say(f"{count} figures exceed the stated tolerances" if count else "all stated tolerances hold")
+    return 1 if count else 0
 
 
 def _materials(maps: str | None, resolution: int | None,
@@ -105,8 +109,7 @@ def _print(record: dict) -> None:
     for bsdf, how in dict.fromkeys(pair for m in record["materials"].values()
                                    for pair in m["converted"].items()):
         say(f"as {bsdf}: {how}")
-    groups = dict.fromkeys((row["texels"], row["bsdf"]) for row in record["summary"])
-    for texels, bsdf in groups:
+    for texels, bsdf in dict.fromkeys((row["texels"], row["bsdf"]) for row in record["summary"]):
         rows = [row for row in record["summary"] if (row["texels"], row["bsdf"]) == (texels, bsdf)]
         print_rich(_table(record, texels, bsdf, rows))
     for each in omitted(record):
@@ -120,18 +123,17 @@ def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
     count = rows[0]["materials"]
     bound = f"{'>=' if texels == 'rough' else '<'} {record['rough_from']}"
     of = f", worst of {count} materials" if count > 1 else ""
-    table = Table(title=f"{bsdf}, texels of roughness {bound}{of}", title_justify="left", box=SIMPLE_HEAD,
+    table = Table("", title=f"{bsdf}, texels of roughness {bound}{of}", title_justify="left", box=SIMPLE_HEAD,
                   padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column("", no_wrap=True)
     for heading in ("tolerance", "float32 limit", *(row["renderer"] for row in rows)):
         table.add_column(heading, justify="right", no_wrap=True)
     stated = record["tolerances"] if texels == "rough" else {"image": {}, "gradients": {}}
 
-    def add(label: str, tolerance: float | None, limit: float | None, values: Sequence[float | None],
+    def add(label: str, tolerance: float | None, limit: float | None, values: list[float | None],
             form: Callable[[Any], str] = figure) -> None:
         cells = [f"[red]{form(v)}[/]" if tolerance and v is not None and v > tolerance else form(v)
                  for v in values]
-        table.add_row(label, form(tolerance) if tolerance else "", form(limit) if limit else "", *cells)
+        table.add_row(label, *(form(each) if each else "" for each in (tolerance, limit)), *cells)
 
     limit = rows[0]["limit"]  # it hangs on materials and views alone
     for name in ("mean", "p99.9", "worst", "bias"):
@@ -147,15 +149,3 @@ def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
         for way in ("forward", "backward"):
             add(way, None, None, [row["seconds"][way] for row in rows], seconds)
     return table
-
-
-def _verdict(record: dict) -> int:
-    from ..report.page import figure
-
-    for found in record["violations"]:
-        limit = f" (float32 limit {figure(found['limit'])})" if found["limit"] else ""
-        say(f"exceeded: {found['material']} · {found['bsdf']} · {found['renderer']}: {found['what']} "
-            f"{found['value']:.3g} > {figure(found['tolerance'])}{limit}")
-    count = len(record["violations"])
-    say(f"{count} figures exceed the stated tolerances" if count else "all stated tolerances hold")
-    return 1 if count else 0

@@ -10,7 +10,7 @@ from tyro.conf import arg
 
 from ..io import files
 from ..io.progress import print_rich, progress_bar, say, say_written
-from ..render import RENDERERS, RendererName, make_renderer
+from ..render import RENDERERS, make_renderer
 from .options import JsonFile, Overwrite, Variant, check_new_files
 
 Sweep = Literal["roughness", "tilt", "distance", "colour", "intensity", "clipped", "flat", "resolution",
@@ -27,26 +27,24 @@ def stability(
 ) -> int:
     """Sweep every parameter to its ends and give a verdict on each renderer.
 
-    Each case compares image and gradients with float64. The JSON file also holds condition numbers and step
-    sizes. All sweeps take about two minutes. The exit code is 1 when a value is not finite or a verdict is
-    worse than expected. docs/results/stability.md explains the verdicts and every clamp.
+    Each case compares image and gradients with float64. The JSON file also holds condition numbers. All
+    sweeps take about two minutes. The exit code is 1 when a value is not finite or a verdict is worse than
+    expected. docs/results/stability.md explains the verdicts and every clamp.
     """
     from ..verify.stability import SWEEPS
     from ..verify.stability import stability as run
 
     check_new_files(json_file, overwrite=overwrite)
-    names: tuple[RendererName, ...] = RENDERERS if renderer == "all" else (renderer,)
-    renderers = [make_renderer(name, variant) for name in names]
+    renderers = [make_renderer(name, variant) for name in (RENDERERS if renderer == "all" else (renderer,))]
     with progress_bar("stability") as report:
         record = run(renderers, only or tuple(SWEEPS), report)
     if json_file:
         files.write_json(json_file, record)
     for key, title in record["sweeps"].items():
         print_rich(_table(title, [row for row in record["rows"] if row["sweep"] == key], record["renderers"]))
-    say("Each cell: the verdict, and the relative L2 error of the image or of the worst gradient, whichever "
-        "is\n"
-        "larger. rounding: the change that one float32 rounding of the normals makes. exact: image within\n"
-        "1e-6, gradients within 1e-5. docs/results/stability.md explains the other verdicts.")
+    say("Each cell: the verdict, and the relative L2 error of the image or the worst gradient. rounding:\n"
+        "what one float32 rounding of the normals changes. exact: image within 1e-6, gradients within 1e-5.\n"
+        "docs/results/stability.md explains the other verdicts.")
     say_written(json_file)
     for found in record["violations"]:
         say(f"worse than expected: {found['sweep']}, {found['label']}, {found['renderer']}: {found['what']}")
@@ -57,8 +55,8 @@ def stability(
 
 def _table(title: str, rows: list[dict], renderers: list[str]) -> Table:
     """Verdict and largest error of each renderer, and the effect of one rounding; 80 columns."""
-    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), pad_edge=False)
-    table.add_column("")
+    table = Table("", title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0),
+                  pad_edge=False)
     for name in (*renderers, "rounding"):
         table.add_column(name, justify="right", no_wrap=True)
     for row in rows:

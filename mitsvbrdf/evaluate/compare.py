@@ -29,14 +29,12 @@ class Entry:
         folder: where its maps were read from.
         svbrdf: its maps, of any resolution.
         fit: how it saw its photos; the defaults for maps without a ``fit.json``.
-        guess: its own guessed diffuse map, R x R x 3 linear, or None.
     """
 
     name: str
     folder: str
     svbrdf: SVBRDF
     fit: Fit = field(default_factory=Fit)
-    guess: Tensor | None = None
 
 
 def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_errors: MapErrors

@@ -39,9 +39,8 @@ def write_compare_page(path: str | Path, record: dict, entries: Sequence[Entry],
     for entry, method in zip(entries, methods):
         size = "" if method["resolution"] == side else f", {method['resolution']} px"
         light = "" if method["falloff"] == "inverse-square" else ", light without falloff"
-        own = [] if entry.guess is None else [("Guessed diffuse, its own", _uri("diffuse", entry.guess))]
         rows.append({"name": entry.name, "note": f"{entry.folder}{size}; {method['views']}{light}",
-                     "maps": _maps(entry.svbrdf, side) + own})
+                     "maps": _maps(entry.svbrdf, side)})
     photos = [{"name": name, "photo": png_uri(at_most(photo, LARGEST)),
                "rendered": [(method, png_uri(at_most(images[i], LARGEST)))
                             for method, images in zip(methods, pictures)]}

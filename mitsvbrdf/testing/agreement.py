@@ -17,7 +17,7 @@ from ..measure.metrics import gradient_error, image_error
 from ..measure.tolerances import LIMITS, Limits
 from ..render import Renderer, RendererName, make_renderer
 from ..views import Views
-from .page import Figure, Row, failure, gradient_row, view_rows
+from .page import Figure, failure, gradient_row, view_rows
 
 
 @entry(gradients=True)
@@ -51,17 +51,19 @@ def assert_renderers_agree(
     limits = [_limits(r.name, image_mean, image_p999, gradients) for r in engines[1:]]
     wanted = any(math.isfinite(limit.gradients) for limit in limits)
     truth = _measured(engines[0], maps, views, wanted)
-    figures, rows = [], []
+    figures, rows, names = [], [], []
     for renderer, limit in zip(engines[1:], limits):
         found = _measured(renderer, maps, views, math.isfinite(limit.gradients))
         measured = _figures(renderer.name, found, truth, limit)
         figures += measured
         if any(f.missed for f in measured):
-            rows.append(lambda name=renderer.name, found=found: _rows(name, found, truth))
-    if rows:
-        names = sorted({f.name.split(":")[0] for f in figures if f.missed})
+            names.append(renderer.name)
+            rows += view_rows(found.image, truth.image, renderer.name) + [
+                gradient_row(f"{renderer.name}, gradient of {name}", gradient, truth.gradients[name])
+                for name, gradient in found.gradients.items()]
+    if names:
         raise failure(f"{' and '.join(names)} differ{'s' * (len(names) == 1)} from {engines[0].name}",
-                      figures, lambda: [row for each in rows for row in each()])
+                      figures, rows)
 
 
 def _limits(name: str, *given: float | None) -> Limits:
@@ -84,19 +86,12 @@ def _measured(renderer: Renderer, maps: SVBRDF, views: Views, gradients: bool) -
 
 def _figures(name: str, found: Measured, truth: Measured, limit: Limits) -> list[Figure]:
     image = image_error(found.image, truth.image)
-    figures = [Figure(f"{name}: image, mean relative error", image["mean"], limit.image_mean),
-               Figure(f"{name}: image, 99.9 % of the values within", image["p99.9"], limit.image_p999)]
-    return figures + [Figure(f"{name}: gradient of {map_}, relative L2",
-                             _off(gradient, truth.gradients[map_]), limit.gradients)
-                      for map_, gradient in found.gradients.items()]
+    return [Figure(f"{name}: image, mean relative error", image["mean"], limit.image_mean),
+            Figure(f"{name}: image, 99.9 % of the values within", image["p99.9"], limit.image_p999),
+            *(Figure(f"{name}: gradient of {each}, relative L2", _off(gradient, truth.gradients[each]),
+                     limit.gradients) for each, gradient in found.gradients.items())]
 
 
 def _off(gradient: Tensor, truth: Tensor) -> float:
     """Relative L2 error; 0 where both gradients are 0 everywhere."""
     return gradient_error(gradient, truth)["relative_l2"] if truth.any() or gradient.any() else 0.0
-
-
-def _rows(name: str, found: Measured, truth: Measured) -> list[Row]:
-    return view_rows(found.image, truth.image, name) + [
-        gradient_row(f"{name}, gradient of {map_}", gradient, truth.gradients[map_])
-        for map_, gradient in found.gradients.items()]

@@ -19,10 +19,10 @@ from torch import Tensor
 from .. import color
 from ..errors import ConfigError, MapsError
 from ..io import files
-from ..material.maps import SVBRDF
+from ..material.maps import SVBRDF, TITLES, shown_map
 from ..measure.metrics import flip as flip_error
-from .page import Figure, Row, failure, left_behind, row
-from .running import Caller, current
+from . import running
+from .page import Figure, failure, left_behind, row
 
 Layers = dict[str, Tensor]  # H x W x C by name; a lone picture has the name ""
 
@@ -31,13 +31,13 @@ def assert_matches_golden(result: Tensor | SVBRDF, name: str, *, rtol: float = 1
                           flip: float = 1.0) -> None:
     """Fail unless a result is what it was when ``pytest --mitsvbrdf-update`` accepted it.
 
-    With that option a missing golden file is written and one that no longer matches, or cannot be read, is
-    replaced; one that matches stays as it is. Without it no golden file is ever touched.
+    With that option a missing golden file is written and one that no longer matches is replaced; one that
+    matches stays as it is. Without it no golden file is ever touched.
 
     Args:
         result: a linear picture H x W x 3, views N x H x W x 3, or a material.
-        name: of the golden file, without suffix: letters, digits, ``-``, ``_`` and ``.``, 100 at most; unique
-            within the test file.
+        name: of the golden file, without suffix: letters, digits, ``-``, ``_`` and ``.``, 100 at most; each
+            once within the test file.
         rtol: a value may be off by ``atol + rtol |golden value|``. The defaults fit float32 renderers on one
             machine or another; ``math.inf`` leaves the decision to ``flip``.
         atol: see ``rtol``; linear units.
@@ -48,46 +48,37 @@ def assert_matches_golden(result: Tensor | SVBRDF, name: str, *, rtol: float = 1
         AssertionError: it differs, has another shape, is not finite, or there is no golden file; the message
             names the page, the new EXR file and the way to accept it.
         MapsError: a result of another kind, or a golden file that cannot be read.
-        ConfigError: a bad name, one used twice in this run, or a call outside a test.
+        ConfigError: a bad name, or a call outside a test.
     """
     __tracebackhide__ = True
-    caller, layers = current(), _layers(result)
-    path = _golden_path(caller, name)
+    path, layers = _golden_path(name), _layers(result)
     if not all(torch.isfinite(layer).all() for layer in layers.values()):
         raise AssertionError(f"{name} has values that are not finite: it was neither compared nor written")
-    try:
-        golden = _read(path) if path.exists() else {}
-    except MapsError:
-        if not caller.run.update:
-            raise
-        golden = {}
+    golden = _read(path) if path.exists() else {}
     title, figures, notes = _compared(name, layers, golden, rtol, atol, flip)
-    if not title:
-        return
-    if caller.run.update:
+    if title and running.now.update:
         _write(path, layers)
-        caller.run.written.append(path)
+        running.now.written.append(path)
+    if not title or running.now.update:
         return
     notes += [f"golden file: {path}",
               f"new result: {left_behind(f'-{name}.exr', lambda file: _write(file, layers))}",
-              f"to accept it: pytest --mitsvbrdf-update {shlex.quote(caller.id)}"]
-    raise failure(title, figures, lambda: _rows(layers, golden), notes, f"-{name}.html")
+              f"to accept it: pytest --mitsvbrdf-update {shlex.quote(running.now.test)}"]
+    paired = golden if _shapes(layers) == _shapes(golden) else {}
+    rows = [row(layer or "picture", value, paired.get(layer), partial(_shown, layer))
+            for layer, value in layers.items()]
+    raise failure(title, figures, rows, notes, f"-{name}.html")
 
 
-def _golden_path(caller: Caller, name: str) -> Path:
-    if caller.file is None:
+def _golden_path(name: str) -> Path:
+    file = running.now.file
+    if file is None:
         raise ConfigError("a running test", "a call outside of one, or without the pytest plugin",
                           "install mitsvbrdf, or run pytest -p mitsvbrdf.testing.plugin")
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name):
         raise ConfigError("a name of letters, digits, '-', '_' and '.', 100 at most", repr(name),
                           "it becomes a file name")
-    path = caller.file.parent / "golden" / caller.file.stem / f"{name}.exr"
-    user = caller.run.names.get(str(path).lower())
-    if user:
-        raise ConfigError("each golden name once in a run", f"{name!r} again, in {caller.id} after {user}",
-                          "put the parameters of the test into the name")
-    caller.run.names[str(path).lower()] = caller.id
-    return path
+    return file.parent / "golden" / file.stem / f"{name}.exr"
 
 
 def _layers(result: Tensor | SVBRDF) -> Layers:
@@ -105,9 +96,8 @@ def _compared(name: str, layers: Layers, golden: Layers, rtol: float, atol: floa
     """What is wrong (empty: nothing), the figures, and more about it."""
     if not golden:
         return f"{name} has no golden file yet", [], []
-    if _shapes(layers) != _shapes(golden):
-        told = f"{_told(layers)} instead of {_told(golden)}"
-        return f"{name} has another shape than its golden file: {told}", [], []
+    if (new := _shapes(layers)) != (old := _shapes(golden)):
+        return f"{name} has another shape than its golden file: {new} instead of {old}", [], []
     figures, notes = [], []
     for layer, value in layers.items():
         label = f"{layer}: " if layer else ""
@@ -131,51 +121,30 @@ def _excess(value: Tensor, golden: Tensor, rtol: float, atol: float) -> Tensor:
     return torch.where(off > 0, off / (atol + rtol * golden.double().abs()), 0.0)
 
 
-def _shapes(layers: Layers) -> dict[str, tuple[int, ...]]:
-    return {layer: tuple(value.shape) for layer, value in layers.items()}
-
-
-def _told(layers: Layers) -> str:
-    return ", ".join(f"{layer} {' x '.join(map(str, shape))}".strip()
-                     for layer, shape in _shapes(layers).items())
+def _shapes(layers: Layers) -> str:
+    return ", ".join(f"{layer} {' x '.join(map(str, value.shape))}".strip()
+                     for layer, value in sorted(layers.items()))
 
 
 def _shown(layer: str, value: Tensor) -> Tensor:
     """A layer as display values H x W x 3."""
-    if layer == "normal":
-        return (value + 1) / 2
-    if layer in ("roughness", "metallic"):
-        return value.expand(-1, -1, 3)
-    return color.to_display(value)
-
-
-def _rows(layers: Layers, golden: Layers) -> list[Row]:
-    if _shapes(layers) != _shapes(golden):
-        golden = {}
-    return [row(layer or "picture", value, golden.get(layer), partial(_shown, layer))
-            for layer, value in layers.items()]
+    shown = shown_map(layer, value) if layer in TITLES else color.to_display(value)
+    return shown.expand(*value.shape[:2], 3)
 
 
 def _read(path: Path) -> Layers:
     import OpenEXR
 
-    try:
-        channels = OpenEXR.File(str(path), separate_channels=True).channels()
-    except Exception as reason:  # OpenEXR raises plain RuntimeError and others
-        raise _no_golden(path, reason) from None
     layers: dict[str, dict[str, np.ndarray]] = {}
-    for name, channel in channels.items():
-        layer, _, letter = name.rpartition(".")
-        layers.setdefault(layer, {})[letter] = channel.pixels
     try:
+        for name, channel in OpenEXR.File(str(path), separate_channels=True).channels().items():
+            layer, _, letter = name.rpartition(".")
+            layers.setdefault(layer, {})[letter] = channel.pixels
         return {layer: torch.from_numpy(np.stack([parts[c] for c in ("RGB" if "R" in parts else "Y")],
                                                  axis=-1)) for layer, parts in layers.items()}
-    except (KeyError, ValueError):  # a channel is missing, or of another size
-        raise _no_golden(path, f"channels {sorted(channels)}") from None
-
-
-def _no_golden(path: Path, reason: object) -> MapsError:
-    return MapsError("a golden EXR file", f"{path}: {reason}", "fetch it anew, or accept a new one")
+    except Exception as reason:  # OpenEXR raises plain RuntimeError and others; or a channel is missing
+        raise MapsError("a golden EXR file", f"{path}: {reason!r}, channels {sorted(layers)}",
+                        "fetch it anew, or delete it and accept a new one") from None
 
 
 def _write(path: Path, layers: Layers) -> None:

@@ -44,11 +44,7 @@ def assert_z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, 
     figures += [Figure(f"mean of channel {k}, standard deviations off", abs(score), found.bias_limit)
                 for k, score in enumerate(found.bias.tolist())]
     means = [float(each.double().mean()) for each in (image, reference)]
-    more = "mean of the image {:.6g}, of the reference {:.6g}".format(*means)
-    raise failure("picture differs from its reference by more than its noise", figures,
-                  lambda: _rows(image, reference, found.z), [more])
-
-
-def _rows(image: Tensor, reference: Tensor, z: Tensor) -> list[Row]:
     rows = view_rows(image[None], reference[None], "picture") if image.shape[-1] == 3 else []
-    return [*rows, Row("standard deviations", [heat("of the worst channel", z.abs().amax(dim=-1))])]
+    rows.append(Row("standard deviations", [heat("of the worst channel", found.z.abs().amax(dim=-1))]))
+    raise failure("picture differs from its reference by more than its noise", figures, rows,
+                  ["mean of the image {:.6g}, of the reference {:.6g}".format(*means)])

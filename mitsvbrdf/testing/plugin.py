@@ -8,13 +8,14 @@ heavy. Its entry point has the module's name: pytest then loads it once, whether
 from __future__ import annotations
 
 from collections.abc import Generator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from . import running
 
-RUN = pytest.StashKey[running.Run]()
+SUITE = pytest.StashKey[running.Running]()
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -31,25 +32,20 @@ def pytest_configure(config: pytest.Config) -> None:
     report = config.getoption("mitsvbrdf_report")
     folder = (config.rootpath / ".mitsvbrdf-report" if report is None
               else config.invocation_params.dir / report)
-    config.stash[RUN] = running.Run(config.getoption("mitsvbrdf_update"), folder)
+    config.stash[SUITE] = running.Running(update=config.getoption("mitsvbrdf_update"), report=folder)
 
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
     """Let the assertions know which test calls them."""
-    with running.running(running.Caller(item.nodeid, item.path, item.config.stash[RUN])):
+    before, running.now = running.now, replace(item.config.stash[SUITE], test=item.nodeid, file=item.path)
+    try:
         return (yield)
-
-
-@pytest.hookimpl(tryfirst=True)
-def pytest_runtest_setup(item: pytest.Item) -> None:
-    """A test that is run once more, by a plugin that repeats failures say, may use its golden files again."""
-    names = item.config.stash[RUN].names
-    for path in [path for path, user in names.items() if user == item.nodeid]:
-        del names[path]
+    finally:
+        running.now = before
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
     """Name the golden files that were written: they want a look before they are committed."""
-    for path in config.stash[RUN].written:
+    for path in config.stash[SUITE].written:
         terminalreporter.write_line(f"mitsvbrdf: wrote {path}")

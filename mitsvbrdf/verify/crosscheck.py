@@ -28,7 +28,7 @@ from ..render import Renderer, make_renderer
 from ..render.needs import scene_needs
 from ..views import Views
 from .findings import summary, violations
-from .float32_limits import Limit, Truth, diffuse_radiance, float32_limit, worst_texels
+from .float32_limits import Limit, float32_limit
 
 SCHEMA_VERSION = 2
 
@@ -102,9 +102,9 @@ class _Case:
         self.exact = [render_and_gradients(twin, svbrdf, v, c) for v, c in zip(self.views, self.cotangents)]
         self.limits = [float32_limit(twin, svbrdf, *each)
                        for each in zip(self.views, self.exact, self.cotangents)]
-        image = self.exact[0].image
-        limit = UNIT_ROUNDOFF + relative_error(image + self.limits[0].image, image)
-        self.truth = Truth(svbrdf, views, names, image, diffuse_radiance(twin, svbrdf, views), limit)
+        self.names, self.image = names, self.exact[0].image
+        # of the relative error of each value, N x R x R x 3
+        self.limit = UNIT_ROUNDOFF + relative_error(self.image + self.limits[0].image, self.image)
         rough = svbrdf["roughness"][..., 0] >= ROUGH_FROM
         self.classes = {"rough": rough, "smooth": ~rough}
 
@@ -113,29 +113,29 @@ class _Case:
         got = [render_and_gradients(renderer, self.svbrdf, v, c) for v, c in zip(self.views, self.cotangents)]
         # as it is shown: a metallic map that wants its slope at 1 adds a rounding to dark texels
         with torch.no_grad():
-            image, exact = renderer.render(self.svbrdf, self.views[0]), self.truth.image
-        off = relative_error(image, exact)
+            image = renderer.render(self.svbrdf, self.views[0])
+        off = relative_error(image, self.image)
         try:
-            looks = [flip(torch.nan_to_num(a), b, self.transfer) for a, b in zip(image, exact)]
+            looks = [flip(torch.nan_to_num(a), b, self.transfer) for a, b in zip(image, self.image)]
         except BackendError:  # it decides nothing here
             looks = []
-        shown, wanted = (color.to_display(x, self.transfer) for x in (image.double(), exact))
+        shown, wanted = (color.to_display(x, self.transfer) for x in (image.double(), self.image))
         shown = (shown - wanted).abs()
         per_view = [{"view": name, "flip": _flip(looks[k:k + 1])}
                     | self._figures(off[k:k + 1], k + 1, got[k + 1])
-                    for k, name in enumerate(self.truth.names)]
+                    for k, name in enumerate(self.names)]
         figures = {"omitted": self._omitted(renderer.name), **self._figures(off, 0, got[0]),
                    "display": _finite({"mean": float(shown.mean()), "worst": float(shown.max())}),
                    "flip": _flip(looks), "per_view": per_view,
                    "worst_texels": [texel for texels in self.classes.values()
-                                    for texel in worst_texels(self.truth, image, texels)]}
+                                    for texel in self._worst_texels(image, off, texels)]}
         error_map = torch.nan_to_num(off.abs(), nan=torch.inf).amax(dim=-1)
         worst = int(error_map.flatten(1).mean(dim=1).argmax())
-        return figures | {"worst_view": self.truth.names[worst]}, error_map[worst]
+        return figures | {"worst_view": self.names[worst]}, error_map[worst]
 
     def _figures(self, off: Tensor, which: int, got: Measured) -> dict:
         """Errors and limits by class of texels, None without any; ``which``: 0 all views, k + 1 view k."""
-        limit = self.truth.limit if which == 0 else self.truth.limit[which - 1:which]
+        limit = self.limit if which == 0 else self.limit[which - 1:which]
         return {name: None if not texels.any() else {
             "texels": int(texels.sum()),
             "image": _image_figures(off[:, texels]),
@@ -145,6 +145,22 @@ class _Case:
                                 if n != "bias"},
                       "gradients": _gradient_limits(self.limits[which], self.exact[which], texels)},
         } for name, texels in self.classes.items()}
+
+    def _worst_texels(self, image: Tensor, off: Tensor, among: Tensor, count: int = 3) -> list[dict]:
+        """The texels of ``among`` (R x R, bool) furthest off, each in its worst view and channel."""
+        error = torch.nan_to_num(off.abs(), nan=torch.inf)
+        size, channel = torch.where(among[..., None], error, -1.0).max(dim=-1)
+        size, view = size.max(dim=0)
+        found = []
+        for place in size.flatten().topk(min(count, int(among.sum()))).indices.tolist():
+            row, column = divmod(place, size.shape[1])
+            k = int(view[row, column])
+            at = k, row, column, int(channel[k, row, column])
+            found.append({"view": self.names[k], "row": row, "column": column, "channel": "rgb"[at[3]],
+                          "reference": float(self.image[at]), "limit": float(self.limit[at]),
+                          "roughness": float(self.svbrdf["roughness"][row, column])}
+                         | _finite({"value": float(image[at]), "relative_error": float(error[at])}))
+        return found
 
     def _omitted(self, renderer: str) -> list[dict[str, str]]:
         """As :func:`render_and_gradients` asks for it: every map wants a gradient."""

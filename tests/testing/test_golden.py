@@ -56,8 +56,7 @@ def test_a_changed_result_fails_and_touches_no_golden_file(accepted):
     assert "roughness: largest difference, in tolerances: 196" in said and "diffuse: largest" not in said
     pages = sorted((accepted.folder / "pages").glob("*.html"))
     assert len(pages) == 2 and not accepted.report.exists()
-    assert pages[1].read_text().count("data:image/png") == 4 and pages[0].read_text().count(
-        "data:image/png") == 16
+    assert [page.read_text().count("data:image/png") for page in pages] == [12, 3]
     (fresh,) = (accepted.folder / "pages").glob("*grey.exr")
     assert (OpenEXR.File(str(fresh)).channels()["RGB"].pixels == np.float32(0.501)).all()
 
@@ -90,41 +89,13 @@ def test_a_spoilt_golden_file_is_an_error_not_a_match(accepted):
 
 
 @pytest.mark.parametrize("channels", [("R", "B"), ("G",), ("normal.R", "normal.G")])
-def test_a_golden_file_without_all_channels_is_an_error_until_it_is_replaced(accepted, channels):
+def test_a_golden_file_without_all_channels_is_an_error(accepted, channels):
     import OpenEXR
 
     part = {name: torch.zeros(4, 4).numpy() for name in channels}
     OpenEXR.File({"type": OpenEXR.scanlineimage}, part).write(str(accepted.golden / "grey.exr"))
     said = accepted.run("-k", "picture", failed=1, deselected=2)
-    assert "expected a golden EXR file" in said and f"channels {sorted(channels)}" in said
-    accepted.run("-k", "picture", "--mitsvbrdf-update", passed=1, deselected=2)
-    accepted.run(passed=3)
-
-
-@pytest.mark.parametrize("second", ["same", "Same"])  # some file systems know no capitals
-def test_a_name_used_twice_is_an_error(suite, second):
-    suite.pytester.makepyfile(test_foreign=f"""
-        import pytest, torch
-        from mitsvbrdf.testing import assert_matches_golden
-
-        @pytest.mark.parametrize("name", ["same", "{second}"])
-        def test_one(name):
-            assert_matches_golden(torch.zeros(2, 2, 3), name)
-    """)
-    said = suite.run("--mitsvbrdf-update", passed=1, failed=1)
-    assert "each golden name once in a run" in said and "put the parameters of the test into the name" in said
-
-
-def test_a_test_that_is_repeated_may_use_its_name_again(suite):
-    suite.pytester.makeconftest("""
-        from _pytest.runner import runtestprotocol
-
-        def pytest_runtest_protocol(item, nextitem):
-            runtestprotocol(item, nextitem=nextitem, log=False)  # as pytest-rerunfailures does
-            return None
-    """)
-    suite.run("--mitsvbrdf-update", passed=3)
-    suite.run(passed=3)
+    assert "expected a golden EXR file" in said
 
 
 def test_the_suite_of_the_docs(suite):
@@ -162,7 +133,7 @@ def test_results_and_names_that_cannot_be_golden(result, name, error, said, repo
         assert_matches_golden(result, name)
 
 
-def test_golden_files_need_a_running_test():
-    with running.running(running.Caller("", None, running.Run())), pytest.raises(
-            ConfigError, match="pytest plugin"):
+def test_golden_files_need_a_running_test(monkeypatch):
+    monkeypatch.setattr(running, "now", running.Running())
+    with pytest.raises(ConfigError, match="pytest plugin"):
         assert_matches_golden(torch.zeros(4, 4, 3), "a")

@@ -1,4 +1,4 @@
-"""What a texel's photos say about its maps, and how far a step may go.
+"""What a texel's photos say about its maps: condition numbers of Jacobians.
 
 The Jacobian is that of one texel's display values in all views (3 N rows: what a fit compares, and where
 noise is about even) with respect to its maps in units of their range: colours, metallic and roughness 1, the
@@ -16,7 +16,6 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ... import color
-from ...fit.losses import photometric
 from ...material.maps import SVBRDF
 from ...render import Renderer
 from ...views import Views
@@ -24,8 +23,6 @@ from ...views import Views
 # singular values below this share of the largest are none: float64 rounding is far below, any information
 # above
 RANK = 1e-9
-FIRST = 0.01
-DOUBLINGS = 24
 
 
 def jacobian(twin: Renderer, svbrdf: SVBRDF, views: Views,
@@ -34,7 +31,7 @@ def jacobian(twin: Renderer, svbrdf: SVBRDF, views: Views,
 
     ``twin`` is ``analytic64``; ``display`` makes what a fit sees of linear radiance.
     """
-    leaves = _leaves(svbrdf.to(torch.float64))
+    leaves = svbrdf.to(torch.float64).map(lambda t: t.detach().clone().requires_grad_())
     seen = display(twin.render(leaves, views))
     normal = F.normalize(svbrdf["normal"].double(), dim=-1)
     rows = []
@@ -69,50 +66,6 @@ def condition(jacobians: Tensor) -> dict[str, float | None]:
     median, worst = float(numbers.quantile(0.5, interpolation="lower")), float(numbers.max())
     return {"median": median if math.isfinite(median) else None, "worst": worst if math.isfinite(worst)
             else None, "rank": int(known.sum(dim=1).median()), "unknowns": unknowns}
-
-
-def largest_step(renderer: Renderer, svbrdf: SVBRDF, views: Views, transfer: color.Transfer = "gamma2.2",
-                 first: float | None = None) -> float:
-    """The largest step of plain gradient descent that still lowers the photometric loss.
-
-    The loss is summed over texels: a step means the same at every resolution. Steps double, or halve if the
-    first one was too long, until lowering changes. Each step starts from the same material a little off, and
-    ends in valid maps. ``first``: the step tried first; default: it takes :data:`FIRST` of a linear loss.
-
-    Returns:
-        The step as a factor of the gradient, to a factor of two; infinite where :data:`DOUBLINGS` doublings
-        were not too far; 0 where the gradient is 0 or not finite, or no step of as many halvings helps.
-    """
-    dtype = torch.float64 if renderer.name == "analytic64" else torch.float32
-    photos = color.to_display(renderer.render(_leaves(svbrdf.to(dtype)), views).detach(), transfer)
-
-    def loss(maps: SVBRDF) -> Tensor:
-        return photometric(renderer.render(maps, views), photos, transfer) * svbrdf.resolution**2
-
-    start = _leaves(disturbed(svbrdf).to(dtype))
-    here = loss(start)
-    slopes = dict(zip(start.maps, torch.autograd.grad(here, list(start.maps.values()))))
-    square = float(sum(g.double().square().sum() for g in slopes.values()))
-    if not square > 0 or not math.isfinite(square):
-        return 0.0
-
-    def lower(step: float) -> bool:
-        moved = SVBRDF(svbrdf.bsdf, {name: value - step * slopes[name] for name, value in start.maps.items()})
-        return bool(loss(_leaves(valid(moved))) < here)
-
-    step = first or FIRST * float(here.detach()) / square
-    longer = lower(step)
-    for _ in range(DOUBLINGS):
-        following = step * 2 if longer else step / 2
-        if lower(following) != longer:
-            return step if longer else following
-        step = following
-    return math.inf if longer else 0.0
-
-
-def _leaves(svbrdf: SVBRDF) -> SVBRDF:
-    """Maps that want a gradient: renderers omit nothing and share one kernel."""
-    return svbrdf.map(lambda t: t.detach().clone().requires_grad_())
 
 
 def disturbed(svbrdf: SVBRDF) -> SVBRDF:

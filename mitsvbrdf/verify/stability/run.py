@@ -15,14 +15,12 @@ from ...fit.losses import photometric
 from ...io.entry import entry
 from ...io.provenance import machine, versions
 from ...measure.gradients import Measured, fixed_cotangent, render_and_gradients
-from ...measure.metrics import image_error
 from ...measure.tolerances import SWEEP_TOLERANCES, UNIT_ROUNDOFF
 from ...render import Renderer, make_renderer
 from ..float32_limits import float32_limit
-from .clamps import CLAMPS
-from .conditioning import condition, disturbed, jacobian, largest_step
+from .conditioning import condition, disturbed, jacobian
 from .sweeps import SWEEPS, Case
-from .verdict import verdict
+from .verdict import CLAMPS, verdict
 
 SCHEMA_VERSION = 2
 # a gradient entry of this share of its texel's is above float32's rounding: 0 in its place was put there
@@ -71,34 +69,30 @@ def violations(rows: Sequence[dict]) -> list[dict]:
 
 def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
     """The record of one configuration."""
-    about: dict[str, Any] = {"sweep": case.sweep, "label": case.label, "value": case.value,
-                             "bsdf": case.svbrdf.bsdf, "resolution": case.svbrdf.resolution,
-                             "views": len(case.views), "refused": case.refused}
-    nothing: dict[str, Any] = {"condition": None, "limit": {}, "clamps": [], "step": None}
+    row: dict[str, Any] = {"sweep": case.sweep, "label": case.label, "value": case.value,
+                           "bsdf": case.svbrdf.bsdf, "resolution": case.svbrdf.resolution,
+                           "views": len(case.views), "refused": case.refused,
+                           "condition": None, "limit": {}, "clamps": []}
     try:
         case.svbrdf.check()
         case.views.check()
     except MitsvbrdfError as error:
-        figures = {"refused": str(error)}
-        kind, why = verdict(figures, {})
-        return about | nothing | {"renderers": {r.name: {"verdict": kind, "why": why} for r in renderers}}
+        kind, why = verdict({"refused": str(error)}, {})
+        return row | {"renderers": {r.name: {"verdict": kind, "why": why} for r in renderers}}
     twin = make_renderer("analytic64")
     photos = _photos(twin, case)
     cotangent = _cotangent(twin, case, photos)
     exact = render_and_gradients(twin, case.svbrdf, case.views, cotangent)
-    clamps = [name for name, acts in CLAMPS.items() if acts(case, exact.image)]
-    limit: dict[str, float] = {}
+    row["clamps"] = [name for name, acts in CLAMPS.items() if acts(case, exact.image)]
     if case.small:
-        limit = _limit(twin, case, exact, cotangent)
-        about |= {"condition": condition(jacobian(twin, case.svbrdf, case.views, _display(case))),
-                  "step": _step(twin, case) if case.walked else None}
+        row["limit"] = _limit(twin, case, exact, cotangent)
+        row["condition"] = condition(jacobian(twin, case.svbrdf, case.views, _display(case)))
     found = {}
     for renderer in renderers:
         figures = _figures(renderer, case, exact, photos)
-        kind, why = verdict(figures, limit, clamps, case.known.get(renderer.name))
-        found[renderer.name] = {"verdict": kind, "why": why} | figures | (
-            {"step": _step(renderer, case, about["step"])} if case.walked and "errors" in figures else {})
-    return nothing | about | {"limit": limit, "clamps": clamps, "renderers": found}
+        kind, why = verdict(figures, row["limit"], row["clamps"], case.known.get(renderer.name))
+        found[renderer.name] = {"verdict": kind, "why": why} | figures
+    return row | {"renderers": found}
 
 
 def _display(case: Case) -> Callable[[Tensor], Tensor]:
@@ -138,8 +132,6 @@ def _figures(renderer: Renderer, case: Case, exact: Measured, photos: Tensor | N
     return {
         "errors": {"image": _relative(image, true)}
         | {name: _relative(*pair) for name, pair in gradients.items()},
-        "worst": {"image": _finite(image_error(image, true)["worst"])} | {
-            name: _relative(*pair, norm=math.inf) for name, pair in gradients.items()},
         "not_finite": {"image": _not_finite(image)}
         | {name: _not_finite(g) for name, (g, _) in gradients.items()},
         "silenced": {name: _silenced(*pair) for name, pair in gradients.items()},
@@ -155,15 +147,11 @@ def _loss_gradients(renderer: Renderer, case: Case, photos: Tensor) -> Measured:
     return Measured(image.detach(), dict(zip(leaves.maps, gradients)), 0.0, 0.0)
 
 
-def _relative(found: Tensor, reference: Tensor, norm: float = 2.0) -> float | None:
+def _relative(found: Tensor, reference: Tensor) -> float | None:
     """|found - reference| / |reference|, 0 where both are 0; None for infinite."""
-    off, size = ((x.flatten() if x.numel() else x.new_zeros(1)).norm(norm)
+    off, size = ((x.flatten() if x.numel() else x.new_zeros(1)).norm()
                  for x in (found.double() - reference, reference))
-    return 0.0 if off == 0 else _finite(float(off / size))
-
-
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+    return 0.0 if off == 0 else float(off / size) if math.isfinite(float(off / size)) else None
 
 
 def _not_finite(tensor: Tensor) -> int:
@@ -184,8 +172,3 @@ def _limit(twin: Renderer, case: Case, exact: Measured, cotangent: Tensor) -> di
         name: (change[pick], exact.gradients[name][pick]) for name, change in limit.gradients.items()}
     return {name: UNIT_ROUNDOFF + (float(change.norm() / value.norm()) if value.norm() > 0 else 0.0)
             for name, (change, value) in pairs.items()}
-
-
-def _step(renderer: Renderer, case: Case, first: float | None = None) -> float | None:
-    return _finite(largest_step(renderer, case.svbrdf, case.views, case.encoding, first))
-

@@ -16,7 +16,6 @@ from ...views import Views, nine_view_grid, texel_positions
 
 CASE_SIDE = 16  # texels along a side of most materials: 256 texels, each a case of its own
 TAKEN_APART_SIDE = 64  # larger materials are compared, but not taken apart
-STEPPED_VIEWS = 9  # with more views no step is searched for: hundreds of pictures
 
 GRID = nine_view_grid()
 # 20 degrees to the half vector
@@ -81,11 +80,6 @@ class Case:
     def small(self) -> bool:
         """Whether conditioning and fifty digits are looked at too."""
         return self.svbrdf.resolution <= TAKEN_APART_SIDE
-
-    @property
-    def walked(self) -> bool:
-        """Whether step sizes are looked at too."""
-        return self.small and len(self.views) <= STEPPED_VIEWS
 
 
 def material(bsdf: Bsdf = "roughconductor", side: int = CASE_SIDE, normal: Tensor | None = None,

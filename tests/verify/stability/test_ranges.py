@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 from mitsvbrdf.errors import CaptureError, MapsError, MitsvbrdfError
 from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
 from mitsvbrdf.measure.gradients import render_and_gradients
-from mitsvbrdf.verify.stability import SWEEPS, clamps
+from mitsvbrdf.verify.stability import SWEEPS
 from mitsvbrdf.verify.stability.sweeps import GRID, Case, aimed, material
+from mitsvbrdf.verify.stability.verdict import CLAMPS
 from mitsvbrdf.views import BRIGHTEST, FARTHEST, NEAREST, Views
 
 
@@ -33,18 +34,17 @@ def test_configurations_are_valid_but_those_to_be_refused():
 
 
 def test_clamps_act_where_they_say():
-    acting = clamps.CLAMPS
     for name, svbrdf in {"alpha >= 0.0001": aimed("roughconductor", GRID, 0.01),
                          "alpha >= 0.001": aimed("principled", GRID, 0.03)}.items():
         case = Case("roughness", "", None, svbrdf, GRID)
-        assert [n for n, acts in acting.items() if acts(case, torch.ones(1))] == [name]
+        assert [n for n, acts in CLAMPS.items() if acts(case, torch.ones(1))] == [name]
         found = render_and_gradients(TWIN, svbrdf, GRID)
         smoother = SVBRDF(svbrdf.bsdf, dict(svbrdf.maps) | {"roughness": 0.5 * svbrdf["roughness"]})
         same = render_and_gradients(TWIN, smoother, GRID)
         if svbrdf.bsdf == "roughconductor":  # principled's diffuse lobe still answers
             assert torch.equal(found.image, same.image) and found.gradients["roughness"].abs().max() == 0
     rough = Case("roughness", "", None, material(), GRID)
-    assert not any(acts(rough, torch.ones(1)) for acts in acting.values())
+    assert not any(acts(rough, torch.ones(1)) for acts in CLAMPS.values())
 
 
 @pytest.mark.parametrize("camera, light, intensity, size, expected", [
