@@ -65,9 +65,9 @@ def bench(
     from ..bench.table import judged
     from ..bench.tasks import data_folder, find_tasks
 
+    files.check_output(json_file, page)
     picture = page.with_suffix(".svg") if page else None
     check_new_files(page, picture, overwrite=overwrite, read=[json_file])
-    files.check_output(json_file)
     check_side(resolution)
     times = _numbers("--budgets", budgets, float, lambda x: 0 < x < math.inf, "10,30")
     draws = _numbers("--seeds", seeds, int, lambda x: 0 <= x < 2**32, "0,1,2")

@@ -8,7 +8,7 @@ import os
 import re
 import shutil
 import stat
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 
@@ -50,6 +50,13 @@ class Case:
         kept = json.loads(path.read_text())
         return cls(**{name: tuple(value) if isinstance(value, list) else value
                       for name, value in kept.items()})
+
+    @property
+    def outputs(self) -> set[str]:
+        """``out``, and the record that a `bench` goes on with."""
+        words = self.arguments
+        records = [word for option, word in zip(words, words[1:]) if option == "--json"]
+        return {self.out, *(os.path.normpath(f"work/{word}") for word in records if words[0] == "bench")}
 
     def keep(self, folder: Path) -> Path:
         """Write it to a file whose name tells it from others; give the file."""
@@ -108,12 +115,12 @@ def run(case: Case, good: Path, folder: Path, warm: Warm) -> Result:
             (box / "outside" / name).write_text("of somebody else\n")
         for change in case.changes:
             apply(box, change)
-        before = snapshot(box, case.out)
+        before = snapshot(box, case.outputs)
         arguments = [word.replace("@@", str(box)) for word in case.arguments]
         answer = warm.run(arguments, box / "work", said, box / "tmp", LASTING if case.lasting else SECONDS,
                           GRACE)
         text = said.read_text(errors="replace") if said.exists() else ""
-        return Result(broken(case, answer, text, before, snapshot(box, case.out)), text, answer)
+        return Result(broken(case, answer, text, before, snapshot(box, case.outputs)), text, answer)
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -144,8 +151,8 @@ def differences(before: Mapping, after: Mapping) -> list[tuple[str, str]]:
             for name in sorted({*before, *after}) if before.get(name) != after.get(name)]
 
 
-def snapshot(folder: Path, out: str) -> dict[str, tuple]:
-    """All that lies in a folder but for ``out``: kind and mode, of files also place on the disk, time,
+def snapshot(folder: Path, outputs: Collection[str]) -> dict[str, tuple]:
+    """All that lies in a folder but for these: kind and mode, of files also place on the disk, time,
     content, target.
     """
     found = {}
@@ -153,7 +160,7 @@ def snapshot(folder: Path, out: str) -> dict[str, tuple]:
         for name in (*folders, *files):
             path = Path(where, name)
             inside = str(path.relative_to(folder))
-            if inside == out:
+            if inside in outputs:
                 continue
             about = path.lstat()
             content: tuple = ()
@@ -162,7 +169,7 @@ def snapshot(folder: Path, out: str) -> dict[str, tuple]:
             elif stat.S_ISLNK(about.st_mode):
                 content = (os.readlink(path),)
             found[inside] = about.st_mode, *content
-        folders[:] = [name for name in folders if str(Path(where, name).relative_to(folder)) != out]
+        folders[:] = [name for name in folders if str(Path(where, name).relative_to(folder)) not in outputs]
     return found
 
 

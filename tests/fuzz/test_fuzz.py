@@ -135,4 +135,4 @@ def test_snapshots_see_everything_but_the_output(tmp_path):
     (tmp_path / "work/out").mkdir(parents=True)
     (tmp_path / "work/out/file").write_text("x")
     (tmp_path / "other").write_text("x")
-    assert set(snapshot(tmp_path, "work/out")) == {"work", "other"}
+    assert set(snapshot(tmp_path, {"work/out"})) == {"work", "other"}
