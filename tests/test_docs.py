@@ -6,6 +6,7 @@ import re
 import shlex
 import shutil
 import subprocess
+import sys
 import textwrap
 import tomllib
 from importlib.util import find_spec
@@ -146,6 +147,9 @@ def test_commands_for_a_fit(name, photos):
 @pytest.mark.slow
 def test_batch_page_commands(photos):
     run_shortened(commands(ROOT / "docs/batch.md"))
+    (loop,) = re.findall(r"^    (for .*)", (ROOT / "docs/batch.md").read_text(), re.M)
+    command = f'mitsvbrdf() {{ {sys.executable} -m mitsvbrdf "$@"; }}; {loop.replace("wood-", "")}'
+    subprocess.run(["bash", "-c", command], check=True)
     assert list(Path("exported").rglob("material.glb"))
 
 
