@@ -97,7 +97,7 @@ def _mitsuba(variant: str) -> list[Row]:
         return [*rows, Row(variant, f"not tried: {reason}", False)]
     rows += [Row("libLLVM",
                  f"{found.version or '?'} {found.path}: {found.message or 'proved in a child process'}",
-                 found.proved or None) for found in llvm.examine()]
+                 found.proved or None) for found in (llvm.examine() if versions["drjit"] else ())]
     try:
         with using_mitsuba(variant) as mi:
             import drjit as dr

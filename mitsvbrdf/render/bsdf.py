@@ -15,7 +15,8 @@ from .needs import Needs
 
 MIN_ALPHA_PRINCIPLED = 0.001  # Mitsuba's `principled` never goes below; its gradient in roughness is 0 there
 
-FRESNEL = "exact_fresnel"  # the plugin of plugins.py that stands for roughconductor's own reflectance
+# plugins of plugins.py that stand for roughconductor's own reflectance and for normalmap
+FRESNEL, NORMAL_MAP = "exact_fresnel", "exact_normalmap"
 
 BELOW_ONE = 2.0**-24  # from 1 to the next float32 below
 
@@ -69,7 +70,7 @@ def slot_values(bsdf: str, maps: dict[str, Any], needs: Needs, stock: bool = Fal
 
     Two lobes of ``roughconductor`` are summed by a ``blendbsdf`` of weight 0.5, so both carry a factor 2.
     """
-    slots = {"normal": maps["normal"] * 0.5 + 0.5} if needs.normal_map else {}
+    slots = {"normal": maps["normal"] * 0.5 + 0.5 if stock else maps["normal"]} if needs.normal_map else {}
     if bsdf == "principled":
         slots |= {"base_color": maps["base_color"], "roughness": maps["roughness"]}
         return slots | ({"metallic": _with_slope(maps["metallic"])} if needs.metallic else {})
@@ -106,6 +107,8 @@ def plugin(bsdf: str, needs: Needs, texture: Callable[[str], Any], stock: bool =
         shading = _lobes(needs, texture, stock)
     if not needs.normal_map:
         return shading
+    if not stock:
+        return {"type": NORMAL_MAP, "normals": texture("normal"), "inner": shading}
     # Both flags default to true and would change the image: the model has no normal flipping and no extra
     # shadowing.
     return {"type": "normalmap", "flip_invalid_normals": False, "use_shadowing_function": False,
@@ -120,9 +123,9 @@ def _lobes(needs: Needs, texture: Callable[[str], Any], stock: bool) -> dict:
     # the default is Beckmann
     lobe = {"type": "roughconductor", "distribution": "ggx", "alpha": texture("alpha")}
     if needs.fresnel_curve and not stock:
-        every = {"type": "uniform", "value": float(needs.lobes)}
-        lobe = {"type": FRESNEL, "f0": texture("f0"), "lobe": lobe | {"material": "none",
-                                                                      "specular_reflectance": every}}
+        lobe |= {"material": "none",
+                 "specular_reflectance": {"type": "uniform", "value": float(needs.lobes)}}
+        lobe = {"type": FRESNEL, "f0": texture("f0"), "inner": lobe}
     else:
         lobe |= {"specular_reflectance": texture(f"specular_x{needs.lobes}")}
         lobe |= ({"eta": texture("eta"), "k": {"type": "uniform", "value": 0.0}} if needs.fresnel_curve

@@ -28,10 +28,15 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ..io.entry import put_back
+from ..io.entry import entry, put_back
 from ..io.signals import PROCESS
 from ..kinds import kinds_checked
+from ..material.maps import SVBRDF
+from ..views import Views
+from .bsdf import needed_maps
 from .llvm import mitsuba_module
+from .needs import Needs, refuse_not_finite, scene_needs
+from .plugins import register
 
 T = TypeVar("T")
 
@@ -170,3 +175,53 @@ def _gradients(ctx: Any, inputs: Sequence[Tensor], cotangent: Tensor) -> list[Te
     leaves, images = record.content
     wanted = [leaf for leaf in leaves if leaf.requires_grad]
     return [each.clone() for each in torch.autograd.grad(images, wanted, cotangent)]
+
+
+class MitsubaRenderer:
+    """What both of Mitsuba's renderers are made of; see :class:`mitsvbrdf.render.Renderer`.
+
+    Args:
+        variant: ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
+        needs: what to compute; left out: what the scene needs.
+
+    Raises:
+        BackendError: Mitsuba, the variant or libLLVM is missing.
+    """
+
+    name: str
+    replayed = False  # see Drawing
+    views_at_once: int | None = None  # drawn by one kernel; None: all
+
+    def __init__(self, variant: str = "llvm_ad_rgb", needs: Needs | None = None) -> None:
+        self.variant, self.needs = variant, needs
+        with using_mitsuba(variant) as self.mi:
+            register(self.mi)
+        self.device = "cuda" if variant.startswith("cuda") else "cpu"
+        self._drawings: dict[tuple, Drawing] = {}
+
+    def __reduce__(self) -> tuple:
+        return type(self), (self.variant, self.needs)
+
+    @entry()
+    def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
+        """Linear radiance N x R x R x 3, float32; gradients to maps, camera, light and intensity."""
+        refuse_not_finite(svbrdf, views)
+        needs = self.needs or scene_needs(svbrdf, views, self.name)
+        maps = needed_maps(svbrdf, needs)
+        key = (svbrdf.bsdf, needs, svbrdf.resolution, views.falloff, tuple(maps))
+        with using_mitsuba(self.variant):
+            if key not in self._drawings:
+                self._drawings[key] = Drawing(self.variant, self._wrap(*key), self.replayed)
+        views = views.in_patch_sides()
+        # Plain tensors, so that they cross dr.wrap, each with its gradient if it wants one.
+        tensors = [t.to(torch.float32).to(self.device).contiguous() for t in maps.values()]
+        geometry = [t.to(torch.float64).to(self.device).split(self.views_at_once or len(views))
+                    for t in (views.camera, views.light, views.intensity)]
+        images = [self._drawings[key](*(part.contiguous() for part in parts), *tensors)
+                  for parts in zip(*geometry)]
+        return (images[0] if len(images) == 1 else torch.cat(images)).to(svbrdf["normal"].device)
+
+    def _wrap(self, bsdf: str, needs: Needs, side: int, falloff: str,
+              names: tuple[str, ...]) -> Callable[..., list[Tensor]]:
+        """A function of ``dr.wrap``: cameras, lights, intensities (N x 3, float64) and maps to N pictures."""
+        raise NotImplementedError

@@ -2,7 +2,7 @@
 
 Dr.Jit takes any libLLVM it comes across, fixes its choice when it is first imported, and an unsuitable one
 (15 or 16 on a CPU with AVX-512, say) aborts the whole process at the first kernel. So a small kernel is tried
-in a child process first, a good answer is remembered in a cache file, and ``DRJIT_LIBLLVM_PATH`` is set
+in a child process first, a good answer is noted in the user's cache, and ``DRJIT_LIBLLVM_PATH`` is set
 before Dr.Jit loads. Importing this module loads neither Dr.Jit nor Mitsuba; ``python -m
 mitsvbrdf.render.llvm`` prints the library's path or, with exit code 1, what to install.
 """
@@ -12,7 +12,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import importlib.util
-import json
 import os
 import platform
 import re
@@ -21,13 +20,13 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
 from types import ModuleType
 
-from ..errors import BackendError
-from ..io.json import load
+from ..errors import BackendError, OutputError
+from ..io.files import write_bytes
 from ..io.signals import PROCESS
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
@@ -95,9 +94,8 @@ def examine() -> Iterator[LLVM]:
         return
     for path in candidates():
         major = named_version(path)
-        llvm = LLVM(path, str(major), False) if 0 < major < OLDEST else prove(path)
-        old = llvm.version and int(llvm.version.split(".")[0]) < OLDEST
-        yield replace(llvm, proved=False, message=llvm.message or f"older than {OLDEST}") if old else llvm
+        old = 0 < major < OLDEST
+        yield LLVM(path, str(major), False, f"older than {OLDEST}") if old else prove(path)
 
 
 def candidates() -> list[str]:
@@ -131,11 +129,9 @@ def _folders() -> list[str]:
 
 def prove(path: str) -> LLVM:
     """Run Dr.Jit's kernels with this library (empty: Dr.Jit's choice) in a child process, unless proved."""
-    if importlib.util.find_spec("drjit") is None:
-        return LLVM(path, "", False, "no drjit in this Python to try it with")
-    key, known = _key(path), _read_cache()
-    if key in known:
-        return LLVM(path, known[key], True)
+    note = _note(path)
+    if note and note.is_file():
+        return LLVM(path, note.read_text(), True)
     environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
     # no kernel compiled earlier may stand in for this library's
     with tempfile.TemporaryDirectory() as kernels:
@@ -149,9 +145,9 @@ def prove(path: str) -> LLVM:
     version = child.stdout.strip().removeprefix("-1.-1.-1")
     if child.returncode:
         return LLVM(path, version, False, _reason(child))
-    if key and _cache().is_absolute():  # not so where a user without a home would get a folder named "~"
-        with contextlib.suppress(OSError):  # without a cache the trial is run again next time
-            _write_cache(_read_cache() | {key: version})
+    if note:
+        with contextlib.suppress(OutputError):  # without a note the trial is run again next time
+            write_bytes(note, version.encode())
     return LLVM(path, version, True)
 
 
@@ -162,54 +158,29 @@ def _reason(child: subprocess.CompletedProcess[str]) -> str:
     return f"the trial process died: {words}" if child.returncode < 0 else words
 
 
-def _key(path: str) -> str:
-    """What a verdict depends on: file, Dr.Jit, CPU. Empty where the file to be loaded is unknown."""
-    if not os.path.isfile(path):
-        return ""
+def _note(path: str) -> Path | None:
+    """The file that keeps a good verdict, named by what it depends on: library, Dr.Jit, machine.
+
+    None where the library to be loaded is unknown, or the user has no home.
+    """
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
+    if not os.path.isfile(path) or not folder.is_absolute():
+        return None
     real, stat = os.path.realpath(path), os.stat(path)
-    try:
-        cpu = sorted({line for line in Path("/proc/cpuinfo").read_text().splitlines()
-                      if line.startswith(("model name", "flags", "Features"))})
-    except OSError:
-        cpu = [platform.processor()]
-    facts = [real, stat.st_mtime_ns, stat.st_size, importlib.metadata.version("drjit"), cpu]
-    return hashlib.sha256(json.dumps(facts).encode()).hexdigest()
-
-
-def _cache() -> Path:
-    folder = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    return Path(folder) / "mitsvbrdf" / "llvm.json"
-
-
-def _read_cache() -> dict[str, str]:
-    try:
-        return load(_cache())
-    except (OSError, ValueError):
-        return {}
-
-
-def _write_cache(known: dict[str, str]) -> None:
-    _cache().parent.mkdir(parents=True, exist_ok=True)
-    temporary = _cache().with_suffix(f".{os.getpid()}")
-    temporary.write_text(json.dumps(known, indent=1))
-    os.replace(temporary, _cache())
+    facts = real, stat.st_mtime_ns, stat.st_size, importlib.metadata.version("drjit"), platform.node()
+    return folder / "mitsvbrdf" / f"llvm-{hashlib.sha256(repr(facts).encode()).hexdigest()[:32]}"
 
 
 def _loaded() -> LLVM:
     """The libLLVM of a Dr.Jit imported before; it is too late to choose another one."""
     import drjit
 
-    version = drjit.detail.llvm_version()
-    path = os.environ.get(VARIABLE, "")
-    if version[0] >= OLDEST:
+    version, path = drjit.detail.llvm_version(), os.environ.get(VARIABLE, "")
+    if version[0] >= OLDEST or version[0] > 0 and prove(path).proved:
         return LLVM(path, ".".join(map(str, version)), True)
-    llvm = prove(path)
-    if not llvm.proved or version[0] < 0:
-        raise BackendError("Dr.Jit with a libLLVM that works",
-                           f"drjit imported earlier, without ({llvm.message})",
-                           f"call mitsvbrdf before importing drjit or mitsuba, or set {VARIABLE}; "
-                           f"where no LLVM of version {OLDEST} or newer is installed: {install_hint()}")
-    return llvm
+    raise BackendError("Dr.Jit with a libLLVM that works", "drjit imported earlier, without",
+                       f"call mitsvbrdf before importing drjit or mitsuba, or set {VARIABLE}; "
+                       f"where no LLVM of version {OLDEST} or newer is installed: {install_hint()}")
 
 
 def install_hint() -> str:

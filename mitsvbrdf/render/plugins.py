@@ -11,10 +11,10 @@ from functools import cache
 from types import ModuleType
 from typing import Any
 
-from .bsdf import F0_RANGE, FRESNEL
+from .bsdf import F0_RANGE, FRESNEL, NORMAL_MAP
 
 ROUNDING = 2.0**-24
-CAMERA, NORMAL_MAP, INTEGRATOR = "rectified_camera", "exact_normalmap", "point_lit"
+CAMERA, INTEGRATOR = "rectified_camera", "point_lit"
 
 
 def shading_axes(normal: Any) -> tuple[Any, Any, Any]:
@@ -78,23 +78,34 @@ def _rectified_camera() -> type:
             # in patch sides; may change between pictures without a new kernel
             self.position = Vector64(0, 0, 1)
 
-        def sample_ray(self, time, wavelength_sample, position_sample, aperture_sample, active=True):
-            ray = dr.zeros(mi.Ray3f)
-            ray.o = mi.Point3f(self.position)
-            ray.d = mi.Vector3f(dr.normalize(Vector64(position_sample.x - 0.5, 0.5 - position_sample.y,
-                                                      0) - self.position))
-            ray.time, ray.maxt = time, dr.largest(mi.Float)
-            return ray, mi.Color3f(1)
-
         def sample_ray_differential(self, time, wavelength_sample, position_sample, aperture_sample,
                                     active=True):
-            ray, weight = self.sample_ray(time, wavelength_sample, position_sample, aperture_sample, active)
-            return mi.RayDifferential3f(ray.o, ray.d, ray.time), weight
-
-        def to_string(self):
-            return "RectifiedCamera[]"
+            texel = Vector64(position_sample.x - 0.5, 0.5 - position_sample.y, 0)
+            direction = mi.Vector3f(dr.normalize(texel - self.position))
+            return mi.RayDifferential3f(mi.Point3f(self.position), direction, time), mi.Color3f(1)
 
     return RectifiedCamera
+
+
+def _around() -> type:
+    import mitsuba as mi
+
+    class Around(mi.BSDF):
+        """A BSDF around another one, ``inner``, whose answers it changes."""
+
+        def __init__(self, props):
+            super().__init__(props)
+            self.inner = props["inner"]
+            self.m_components = [self.inner.flags(i) for i in range(self.inner.component_count())]
+            self.m_flags = self.inner.flags()
+
+        def pdf(self, context, si, wo, active=True):
+            return self.inner.pdf(context, si, wo, active)
+
+        def eval_pdf(self, context, si, wo, active=True):
+            return self.eval(context, si, wo, active), self.pdf(context, si, wo, active)
+
+    return Around
 
 
 def _exact_normal_map() -> type:
@@ -103,7 +114,7 @@ def _exact_normal_map() -> type:
 
     Vector64 = dr.float64_array_t(mi.Vector3f)
 
-    class ExactNormalMap(mi.BSDF):
+    class ExactNormalMap(_around()):  # type: ignore[misc]
         """Mitsuba's ``normalmap`` with an unencoded normal and directions turned in float64.
 
         ``normalmap`` reads (n + 1) / 2, where the 1 pushes digits of a small x or y out, and multiplies in
@@ -114,9 +125,7 @@ def _exact_normal_map() -> type:
 
         def __init__(self, props):
             super().__init__(props)
-            self.normals, self.shading = props["normals"], props["shading"]
-            self.m_components = [self.shading.flags(i) for i in range(self.shading.component_count())]
-            self.m_flags = self.shading.flags()
+            self.normals = props["normals"]
 
         def _turned(self, si, active):
             axes = shading_axes(Vector64(self.normals.eval_3(si, active)))
@@ -126,33 +135,26 @@ def _exact_normal_map() -> type:
 
         def eval(self, context, si, wo, active=True):
             turned, axes = self._turned(si, active)
-            return self.shading.eval(context, turned, mi.Vector3f(to_shading(axes, Vector64(wo))), active)
+            return self.inner.eval(context, turned, mi.Vector3f(to_shading(axes, Vector64(wo))), active)
 
         def pdf(self, context, si, wo, active=True):
             turned, axes = self._turned(si, active)
-            return self.shading.pdf(context, turned, mi.Vector3f(to_shading(axes, Vector64(wo))), active)
-
-        def eval_pdf(self, context, si, wo, active=True):
-            return self.eval(context, si, wo, active), self.pdf(context, si, wo, active)
+            return self.inner.pdf(context, turned, mi.Vector3f(to_shading(axes, Vector64(wo))), active)
 
         def sample(self, context, si, sample1, sample2, active=True):
             turned, (s, t, n) = self._turned(si, active)
-            sampled, weight = self.shading.sample(context, turned, sample1, sample2, active)
+            sampled, weight = self.inner.sample(context, turned, sample1, sample2, active)
             wo = Vector64(sampled.wo)
             sampled.wo = mi.Vector3f(s * wo.x + t * wo.y + n * wo.z)
             return sampled, weight
-
-        def to_string(self):
-            return f"ExactNormalMap[{self.shading}]"
 
     return ExactNormalMap
 
 
 def _exact_fresnel() -> type:
     import drjit as dr
-    import mitsuba as mi
 
-    class ExactFresnel(mi.BSDF):
+    class ExactFresnel(_around()):  # type: ignore[misc]
         """A specular lobe times the Fresnel reflectance of the index with F0 at normal incidence.
 
         Mitsuba's ``roughconductor`` takes that index and subtracts numbers that agree as F0 goes to 0 or 1:
@@ -163,9 +165,7 @@ def _exact_fresnel() -> type:
 
         def __init__(self, props):
             super().__init__(props)
-            self.f0, self.lobe = props["f0"], props["lobe"]
-            self.m_components = [self.lobe.flags(i) for i in range(self.lobe.component_count())]
-            self.m_flags = self.lobe.flags()
+            self.f0 = props["f0"]
 
         def _reflectance(self, si, wo, active):
             f0, cosine = self.f0.eval(si, active), dr.dot(dr.normalize(si.wi + wo), wo)
@@ -178,20 +178,11 @@ def _exact_fresnel() -> type:
             return 8 * f0 * (dr.square(s_wave) + dr.square(p_wave))
 
         def eval(self, context, si, wo, active=True):
-            return self.lobe.eval(context, si, wo, active) * self._reflectance(si, wo, active)
-
-        def pdf(self, context, si, wo, active=True):
-            return self.lobe.pdf(context, si, wo, active)
-
-        def eval_pdf(self, context, si, wo, active=True):
-            return self.eval(context, si, wo, active), self.pdf(context, si, wo, active)
+            return self.inner.eval(context, si, wo, active) * self._reflectance(si, wo, active)
 
         def sample(self, context, si, sample1, sample2, active=True):
-            sampled, weight = self.lobe.sample(context, si, sample1, sample2, active)
+            sampled, weight = self.inner.sample(context, si, sample1, sample2, active)
             return sampled, weight * self._reflectance(si, sampled.wo, active)
-
-        def to_string(self):
-            return f"ExactFresnel[{self.lobe}]"
 
     return ExactFresnel
 
@@ -241,11 +232,5 @@ def _point_lit() -> type:
                                                 active)
                     ray, weight = si.spawn_ray(si.to_world(sample.wo)), weight * value
             return radiance, seen, []
-
-        def aov_names(self):
-            return []
-
-        def to_string(self):
-            return f"PointLit[{self.shadow_rays}, {self.bounces}, {self.environment}]"
 
     return PointLit

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from functools import cache
 from types import ModuleType
 from typing import Any
@@ -16,7 +15,7 @@ from ..material.maps import SVBRDF
 from ..render.bsdf import needed_maps, plugin, slot_values
 from ..render.exclusive import Kept, using_mitsuba
 from ..render.needs import material_needs
-from ..render.plugins import INTEGRATOR, NORMAL_MAP, register
+from ..render.plugins import INTEGRATOR, register
 
 CAMERA = "lens_camera"
 NEWTON = 8  # steps from a bent to a straight ray; five reach float32's last digit for phones
@@ -141,11 +140,8 @@ def _square(mi: ModuleType, side: float, height: float, bsdf: dict) -> dict:
 def _sample(mi: ModuleType, svbrdf: SVBRDF, side: float) -> dict:
     svbrdf = svbrdf.detach()
     needs = material_needs(svbrdf)
-    flat, maps = replace(needs, normal_map=False), needed_maps(svbrdf, needs)
-    slots = slot_values(svbrdf.bsdf, maps, flat)
-    material = plugin(svbrdf.bsdf, flat, lambda slot: _texture(mi, slots[slot].numpy()))
-    if needs.normal_map:
-        material = {"type": NORMAL_MAP, "normals": _texture(mi, maps["normal"].numpy()), "shading": material}
+    slots = slot_values(svbrdf.bsdf, needed_maps(svbrdf, needs), needs)
+    material = plugin(svbrdf.bsdf, needs, lambda slot: _texture(mi, slots[slot].numpy()))
     return {"sample": _square(mi, side, 0.0, material)}
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-import json
 import os
 import subprocess
 import sys
@@ -125,7 +124,6 @@ def test_without_drjit_its_install_line_is_told(monkeypatch, no_drjit_yet):
     monkeypatch.setattr(llvm.importlib.util, "find_spec", lambda name: None)
     with pytest.raises(BackendError, match="pip install mitsuba"):
         llvm.use_llvm()
-    assert not llvm.prove("/any").proved
 
 
 def test_an_unknown_variant_is_refused():
@@ -173,16 +171,11 @@ def test_a_good_answer_is_remembered_until_the_file_or_drjit_changes(searched, m
     assert llvm.prove(str(library)) == good and len(trials) == 3
 
 
-@pytest.mark.parametrize("content", ["", "[]", '{"a": '])
-def test_a_broken_or_unwritable_cache_costs_a_trial_only(searched, monkeypatch, content):
-    library, cache = searched / "libLLVM-19.so", searched / "cache" / "mitsvbrdf" / "llvm.json"
+def test_a_cache_that_cannot_be_written_costs_a_trial_only(searched, monkeypatch):
+    library = searched / "libLLVM-19.so"
     library.touch()
-    cache.parent.mkdir(parents=True)
-    cache.write_text(content)
     monkeypatch.setattr(llvm.subprocess, "run",
                         lambda *a, **o: subprocess.CompletedProcess([], 0, "19.1.7\n", ""))
-    assert llvm.prove(str(library)).proved
-    assert list(json.loads(cache.read_text()).values()) == ["19.1.7"]
     monkeypatch.setenv("XDG_CACHE_HOME", str(library))  # a file: no folder can be made in it
     assert llvm.prove(str(library)).proved
 

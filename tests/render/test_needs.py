@@ -94,7 +94,7 @@ def test_one_grey_channel_gets_the_sum_of_three_gradients(name):
 def test_what_is_left_out_reaches_no_plugin():
     renderer = make_renderer("mitsuba-scene")
     renderer.render(flat(16, specular=0.0), GRID.pick([0]))
-    ((_, needs, _, names),) = renderer._drawings
+    ((_, needs, _, _, names),) = renderer._drawings
     # roughness, specular and normal are not even handed over
     assert names == ("diffuse",) and not needs.normal_map
 

@@ -17,7 +17,6 @@ from mitsvbrdf.measure.metrics import gradient_error, image_error
 from mitsvbrdf.render import RENDERERS, make_renderer
 from mitsvbrdf.render.exclusive import using_mitsuba
 from mitsvbrdf.render.needs import CONSTANT_FRESNEL_DEGREES, Needs, half_angle_bound, scene_needs
-from mitsvbrdf.render.scene import SceneRenderer
 from mitsvbrdf.testing import LIMITS, assert_matches_golden, assert_renderers_agree, random_material
 from mitsvbrdf.views import Views, texel_positions
 
@@ -262,5 +261,3 @@ def test_renderers_can_be_copied_and_pickled(name):
     for again in (copy.copy(renderer), copy.deepcopy(renderer), pickle.loads(pickle.dumps(renderer))):
         assert (again.name, again.variant) == (renderer.name, renderer.variant)
         assert torch.equal(again.render(made, GRID), drawn)
-    if name == "mitsuba-scene":
-        assert copy.copy(SceneRenderer(samples=16)).samples == 16

@@ -55,7 +55,7 @@ def test_a_scene_of_before_makes_no_kernel_late_by_being_freed():
     try:
         soak([SceneRenderer()], "roughconductor", soaking.with_gradients, 20, 8)
         # no other test's kernels
-        assert soak([SceneRenderer(samples=16)], "roughconductor", collecting, 20, 8)["late"] == []
+        assert soak([SceneRenderer()], "roughconductor", collecting, 20, 8)["late"] == []
     finally:
         gc.enable()
 
