@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from tyro.conf import Positional
 
+from .. import color
 from ..capture.guess import GuessMethod
 from ..io import images, results
 from ..io.progress import say
@@ -22,7 +23,8 @@ def guess(capture: Positional[Photos], out: Out, method: GuessMethod = "robust",
 
     keep_apart(capture, out)
     shots = read_photos(capture, resolution, views, transfer, "inverse-square")
+    guess = guess_diffuse(shots, method)
     with results.output_folder(out, overwrite) as folder:
-        images.write_linear(folder / "diffuse", guess_diffuse(shots, method), "srgb")
+        images.write_linear(folder / "diffuse", guess, color.to_display(guess, "srgb"))
     say(f"wrote {out}/diffuse.exr, diffuse.png")
     return 0

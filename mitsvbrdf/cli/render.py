@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from .. import color
 from ..errors import MapsError
 from ..io import images, results
 from ..io.progress import say
@@ -57,7 +58,7 @@ def render(
     engine = make_renderer(renderer, variant)
     with results.output_folder(out, overwrite) as folder:
         for name, image in zip(names, engine.render(svbrdf, lit)):
-            images.write_linear(folder / name, image, transfer)
+            images.write_linear(folder / name, image, color.to_display(image, transfer))
     say(f"wrote {len(names)} images of {name_of(maps)} to {out}")
     return 0
 

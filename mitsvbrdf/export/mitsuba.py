@@ -42,6 +42,7 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
         views: at least one view.
     """
     out, svbrdf = Path(out), svbrdf.detach().to(torch.float32)
+    parameters = view_parameters(views, svbrdf.resolution)
     # to be lit and looked at from anywhere
     slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), Needs(), stock=True)
     for slot, value in slots.items():
@@ -51,7 +52,7 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
     tree = ET.parse(SCENES / "patch.xml", comments)
     root = tree.getroot()
     for default in root.iter("default"):
-        default.set("value", view_parameters(views, svbrdf.resolution)[default.attrib["name"]])
+        default.set("value", parameters[default.attrib["name"]])
     material = next(root.iterfind("bsdf[@id='material']"))
     material.attrib.clear()
     material.attrib.update(type="normalmap", id="material")

@@ -17,7 +17,7 @@ from ..capture import Capture
 from ..errors import MapsError, MitsvbrdfError
 from ..io import files, images
 from ..io.json import error_text
-from ..material.map_files import DETAIL, FORMER_DETAIL, MAP_FOLDERS, as_stored, load_maps
+from ..material.map_files import DETAIL, FORMER_DETAIL, MAP_FOLDERS, load_maps
 from ..material.maps import SVBRDF
 from ..render import Renderer, RendererName, make_renderer
 from ..render.needs import Omitted
@@ -273,14 +273,16 @@ class Fit:
         return record_in(self.path) == self.record
 
 
-def write_record(folder: Path, fit: Fit, command: dict) -> Fit:
-    """Write ``fit.json`` with the options of the command line in it; returns the fit as it is in that folder.
+def write_record(folder: Path, fit: Fit, command: dict, stored: Mapping[str, SVBRDF]) -> Fit:
+    """Write ``fit.json`` with the options of the command line in it.
+
+    Returns:
+        The fit as it is in that folder; ``stored`` holds its maps as :func:`save_maps` left them.
 
     Raises:
         OutputError: it cannot be written.
     """
-    maps = {name: as_stored(getattr(fit, name)) for name in ("svbrdf", "detail") if getattr(fit, name)}
-    written = Fit(fit.record | {"command": command}, folder, {**fit.known, **maps})
+    written = Fit(fit.record | {"command": command}, folder, {**fit.known, **stored})
     files.write_json(folder / FILE, written.record)
     return written
 

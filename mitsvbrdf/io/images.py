@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from .. import color
 from ..errors import MitsvbrdfError
 from .decode import check_size, decoded, header, upright
 from .files import atomic_write, write_bytes
@@ -122,7 +121,8 @@ def encode_png(image: Tensor, bits: int = 8) -> bytes:
     return cv2.imencode(".png", np.ascontiguousarray(pixels))[1].tobytes()
 
 
-def write_linear(stem: Path, image: Tensor, transfer: color.Transfer) -> None:
-    """A linear image as ``stem.exr`` (float32) and as ``stem.png`` (8-bit display values)."""
+def write_linear(stem: Path, image: Tensor, display: Tensor) -> None:
+    """An image as ``stem.exr`` (linear, float32) and as ``stem.png`` (display values, 8-bit)."""
+    png = encode_png(display)
     write_exr(stem.with_suffix(".exr"), image)
-    write_png(stem.with_suffix(".png"), color.to_display(image, transfer))
+    write_bytes(stem.with_suffix(".png"), png)

@@ -165,21 +165,15 @@ def _lifted(normal: Tensor, path: Path) -> Tensor:
     return torch.where(under, F.normalize(raised, dim=-1), normal)
 
 
-def as_stored(svbrdf: SVBRDF) -> SVBRDF:
-    """The material as :func:`load_maps` reads what :func:`save_maps` wrote: its normals make a round trip."""
-    stored = {name: value.float() for name, value in svbrdf.detach().maps.items()}
-    return SVBRDF(svbrdf.bsdf, stored | {"normal": F.normalize((stored["normal"] + 1) / 2 * 2 - 1, dim=-1)})
-
-
 @entry()
-def save_maps(svbrdf: SVBRDF, folder: str | Path, **about: object) -> None:
+def save_maps(svbrdf: SVBRDF, folder: str | Path) -> SVBRDF:
     """Write float32 EXR masters (linear), 16-bit PNGs (colours sRGB, the rest linear), material.json.
 
     Normals are (n + 1) / 2 in both. A principled material also gets its diffuse and specular maps, for tools
     that want those.
 
-    Args:
-        about: more fields for material.json.
+    Returns:
+        The material as :func:`load_maps` reads it: its normals have made a round trip.
     """
     folder = Path(folder)
     svbrdf = svbrdf.detach()
@@ -192,4 +186,6 @@ def save_maps(svbrdf: SVBRDF, folder: str | Path, **about: object) -> None:
     encoding = {name: code for name, code in ENCODINGS["srgb"].items() if name in both}
     files.write_json(folder / "material.json", {
         "bsdf": svbrdf.bsdf, "size": svbrdf.resolution, "encoding": encoding | {"normal": "(n+1)/2, +Y up"},
-        "note": "encoding of the PNG files; EXR files are linear", **about})
+        "note": "encoding of the PNG files; EXR files are linear"})
+    stored = {name: value.float() for name, value in svbrdf.maps.items()}
+    return SVBRDF(svbrdf.bsdf, stored | {"normal": F.normalize((stored["normal"] + 1) / 2 * 2 - 1, dim=-1)})

@@ -56,31 +56,32 @@ def write_fit_files(result: Fit, capture: Capture, out: Path, command: dict | No
     """Write a fit, file by file, into a new folder; the arguments are those of :func:`write_fit`."""
     if pages:
         keep_photos(out, capture)
-    save_maps(result.svbrdf, out / "maps")
+    stored = {"svbrdf": save_maps(result.svbrdf, out / "maps")}
     if result.detail:
-        save_maps(result.detail, out / DETAIL)
+        stored["detail"] = save_maps(result.detail, out / DETAIL)
     for name, spread in result.deviations.items():
         images.write_exr(out / "uncertainty" / f"{name}.exr",
                          spread.square().mean(dim=-1, keepdim=True).sqrt())
-    written = write_record(out, result, command or {})
+    written = write_record(out, result, command or {}, stored)
     if pages:
         _write_pages(result, written, capture, out, held_out)
 
 
 def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_out: Capture | None) -> None:
     """What people look at, and the scene."""
-    write_linear(out / "guess" / "diffuse", result.guess, "srgb")
-    for name, image in zip(capture.names, result.rerendered):
-        write_linear(out / "rerendered" / name, image, capture.transfer)
+    shown = color.to_display(result.rerendered, capture.transfer)
+    pictures = [("guess/diffuse", result.guess, color.to_display(result.guess, "srgb")),
+                *zip((f"rerendered/{name}" for name in capture.names), result.rerendered, shown)]
+    for name, linear, display in pictures:
+        write_linear(out / name, linear, display)
     title = f"{material_name(result)}: {result.method}, {result.svbrdf.bsdf}"
     sure = confidence(result.deviations)
     remarks = {name: f"{sure[name]['determined_share']:.0%} determined" if name in sure else "held fixed"
                for name in result.svbrdf.maps}
     title = title.encode(errors="replace").decode()  # of a folder whose name is not UTF-8
     write_sheet(out / "sheet.png", result.svbrdf, capture.photos,
-                color.to_display(result.rerendered, capture.transfer), rmse=result.rerender_rmse,
-                per_photo=result.per_photo, guess=result.guess, names=capture.names, title=title,
-                remarks=remarks)
+                shown, rmse=result.rerender_rmse, per_photo=result.per_photo, guess=result.guess,
+                names=capture.names, title=title, remarks=remarks)
     loss_curve(out / "curve.svg", result.trace)
     write_scene(out, result.svbrdf, result.views)
     # held-out photos of an earlier fit are none of this one's
