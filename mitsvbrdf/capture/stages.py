@@ -34,6 +34,7 @@ from .capture import LEAST_SIDE, Capture
 from .light.lit import Lit
 from .light.solve import Shading
 from .photo import Photo, of_one_camera
+from .quality.next_view import HIGHLIGHT_ANGLE, NextView, next_best_view
 from .quality.photo_quality import PhotoQuality
 from .quality.verdicts import blurred, judge
 from .rectify import Rectified
@@ -44,8 +45,6 @@ Report = Callable[[str, float], object]  # is told what is going on, and the sha
 
 MOST_SIDE = 4096  # pixels, of a rectified photo
 COVERAGE_SIDE = 64
-# Half vectors this close to the upright show a highlight (of roughness 0.35: alpha is tan 7 degrees).
-HIGHLIGHT_ANGLE = math.radians(7)
 
 
 @dataclass(frozen=True)
@@ -61,6 +60,7 @@ class CaptureResult:
         qualities: how good each photo is that has a pose, by name.
         coverage: smallest angle (rad) between half vector and upright that a photo shows, 64 x 64, row 0 at
             the top.
+        next_view: where one more photo would show most; None: nowhere much.
         warnings: what a user should know.
     """
 
@@ -70,6 +70,7 @@ class CaptureResult:
     shading: Shading | None
     qualities: dict[str, PhotoQuality]
     coverage: torch.Tensor
+    next_view: NextView | None
     warnings: tuple[str, ...]
 
     @property
@@ -146,6 +147,7 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
     capture = Capture(lit.pictures, lit.views, transfer, index, rig.source, photos[0].path.parent)
     return CaptureResult(capture, tuple(photos), replace(lit.rig, rejected=rejected), lit.shading, qualities,
                          coverage_angle(lit.views, COVERAGE_SIDE),
+                         next_best_view(lit.views, lit.names, rig.unit),
                          (*notes, *rig.notes, *rectified.notes, *lit.notes))
 
 

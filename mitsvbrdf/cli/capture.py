@@ -43,7 +43,7 @@ def capture(photos: Annotated[Positional[Path], arg(
     cm. Without, poses come from what the photos have in common.
 
     OUT holds capture.json and the rectified photos in target/. quality.html lists rejected photos with the
-    reason, and shows which texels have a highlight. contact.jpg and quality.json hold the same.
+    reason, and says where one more photo helps most. contact.jpg and quality.json hold the same.
     """
     from ..capture import write_capture
     from ..capture.align.from_sheet import refuse_tags
@@ -78,7 +78,7 @@ def _print(result: CaptureResult) -> None:
     """Each photo with its number in a fit or the reason to reject it, and notes."""
     from rich.table import Table
 
-    from ..capture.stages import HIGHLIGHT_ANGLE
+    from ..capture.quality.next_view import HIGHLIGHT_ANGLE
 
     table = Table(title=f"{len(result.used)} of {len(result.photos)} photos used", title_justify="left")
     for heading in ("photo", "", "reprojection", "sharpness", "clipped"):
@@ -94,4 +94,6 @@ def _print(result: CaptureResult) -> None:
     for warning in result.warnings:
         say(f"note: {warning}")
     say(f"{result.covered:.0%} of the patch has a highlight, within {math.degrees(HIGHLIGHT_ANGLE):.0f} "
-        "degrees, in some photo; `mitsvbrdf fit` says how surely these tell specular and roughness")
+        "degrees, in some photo"
+        + (f"; one more photo would show most {result.next_view.words}" if result.next_view else ""))
+    say("`mitsvbrdf fit` says how surely these highlights tell specular and roughness")

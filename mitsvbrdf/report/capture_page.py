@@ -11,7 +11,8 @@ import torch
 from torch import Tensor
 
 from ..capture.photo import UNTURNED, Photo
-from ..capture.stages import HIGHLIGHT_ANGLE, CaptureResult
+from ..capture.quality.next_view import HIGHLIGHT_ANGLE
+from ..capture.stages import CaptureResult
 from ..errors import CaptureError
 from ..io import files
 from ..io.provenance import machine, versions
@@ -58,12 +59,15 @@ def quality_record(result: CaptureResult) -> dict:
                      "reason": result.rig.rejected.get(name),
                      "reprojection_error": result.rig.errors.get(name), "exif": photo.exif,
                      "camera": None if pose is None else np.asarray(pose.position).tolist(), **numbers})
-    shading = result.shading
+    next_view, shading = result.next_view, result.shading
     return {
         "schema_version": SCHEMA_VERSION, "photos": rows, "used": len(result.used),
         "calibration": result.capture.calibration, "unit": result.rig.unit, "patch": result.rig.size,
         "resolution": result.capture.resolution, "transfer": result.capture.transfer,
         "coverage": {"share": result.covered, "lobe_degrees": math.degrees(HIGHLIGHT_ANGLE)},
+        "stand": None if next_view is None else {"camera": list(next_view.camera), "gain": next_view.gain,
+                                                 "near": result.used[next_view.near],
+                                                 "words": next_view.words},
         "flash": list(map(float, result.rig.lens.flash)),
         "vignetting": list(map(float, result.rig.lens.vignetting)), "focal": float(result.rig.lens.focal),
         "log_exposure": {name: value for name, value in (shading.log_exposure if shading else {}).items()
@@ -96,8 +100,11 @@ def _plan(result: CaptureResult) -> dict:
     """Cameras seen from above, in patch sides with y down, for the page's drawing."""
     sides = {name: (np.asarray(pose.position) / result.rig.size).tolist()
              for name, pose in result.rig.poses.items()}
-    half = max(PLAN_REACH, 0.1 + max(abs(x) for place in sides.values() for x in place[:2]))
-    return {"half": half, "cameras": [(name, x, -y) for name, (x, y, _) in sides.items()]}
+    next_place = None if result.next_view is None else [x / result.rig.size for x in result.next_view.camera]
+    places = [*sides.values(), *([next_place] if next_place else [])]
+    half = max(PLAN_REACH, 0.1 + max(abs(x) for place in places for x in place[:2]))
+    return {"half": half, "cameras": [(name, x, -y) for name, (x, y, _) in sides.items()],
+            "stand": next_place and (next_place[0], -next_place[1])}
 
 
 def _contact_sheet(path: Path, result: CaptureResult, rejected: dict[str, Tensor | None]) -> None:

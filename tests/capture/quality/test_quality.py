@@ -1,7 +1,8 @@
-"""Which photos are rejected."""
+"""Which photos are rejected, and where one more is worth most."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import cv2
@@ -13,11 +14,12 @@ from helpers import GRID, photos_of
 from mitsvbrdf.capture import read_capture
 from mitsvbrdf.capture.lens import Lens, Pose
 from mitsvbrdf.capture.light.shading import shading_of_material
+from mitsvbrdf.capture.quality.next_view import next_best_view
 from mitsvbrdf.capture.quality.photo_quality import detail_of, photo_qualities
 from mitsvbrdf.capture.quality.verdicts import judge
 from mitsvbrdf.capture.rig import Rig
 from mitsvbrdf.material.made import make_material
-from mitsvbrdf.views import Views
+from mitsvbrdf.views import Views, coverage_angle
 
 R, SOFTEST = 192, "wall-plaster-green"
 NAMES = [f"{i}.jpg" for i in range(9)]
@@ -182,3 +184,35 @@ def test_detail_of_whole_photos(shots):
     photo = (shots.photos[0].numpy() * 255).round().astype(np.uint8)
     assert detail_of(cv2.GaussianBlur(photo, (0, 0), 2)) < 0.4 * detail_of(photo)
     assert detail_of(photo.astype(np.uint16) * 257) == pytest.approx(detail_of(photo), rel=1e-4)
+
+
+def corner_missing():
+    """Views over three quarters of the patch: the corner at the lower left is never in a highlight."""
+    at = [[-0.35, 0.35], [0.0, 0.35], [0.35, 0.35], [0.0, 0.0], [0.35, 0.0], [0.35, -0.35]]
+    return Views.of([[x, y, 1.8] for x, y in at], intensity=math.pi * 1.8**2)
+
+
+def test_where_to_stand():
+    views, names = corner_missing(), [f"{c}.jpg" for c in "abcdef"]
+    stand = next_best_view(views, names, "patch sides")
+    assert -0.5 < stand.camera[0] < -0.15 and -0.5 < stand.camera[1] < -0.1 and stand.camera[
+        2] == pytest.approx(1.8)
+    # What it promises is what it brings, and no place of a finer grid brings much more.
+    seen, lobe = coverage_angle(views, 32) <= math.radians(7), math.radians(7)
+
+    def gain(x, y):
+        return float(((coverage_angle(Views.of([[x, y, 1.8]]), 32) <= lobe) & ~seen).double().mean())
+
+    assert gain(*stand.camera[:2]) == pytest.approx(stand.gain, abs=1e-9)
+    assert max(gain(x, y) for x in np.linspace(-0.5, 0, 11)
+               for y in np.linspace(-0.5, 0, 11)) < stand.gain + 0.01
+    assert names[stand.near] == "d.jpg"  # of all, the one in the middle is nearest
+    assert all(part in stand.words for part in ("d.jpg", "further left", "nearer to you", "same height"))
+    cm = Views.of(views.camera * 11.5, intensity=views.intensity * 11.5**2, size=11.5)
+    assert f"{-stand.camera[0] * 11.5:.0f} cm further left" in next_best_view(cm, names, "cm").words
+
+
+def test_nowhere_to_stand_where_everything_is_seen():
+    at = torch.cartesian_prod(torch.linspace(-0.5, 0.5, 6), torch.linspace(-0.5, 0.5, 6)).double()
+    views = Views.of(torch.cat((at, torch.full((36, 1), 1.8, dtype=torch.float64)), dim=1))
+    assert next_best_view(views, [str(i) for i in range(36)], "cm") is None
