@@ -44,8 +44,7 @@ LIMITS: dict[str, Limits] = {
 
 ROUGH_FROM = 0.1  # below, highlights are so narrow that float32's own limit lies above any one number
 # The largest errors allowed over texels of at least that roughness, all views together; gradients for each
-# map. A view alone rests on the few texels of its highlight: it is held to the same or, where that is more,
-# to float32's limit.
+# map.
 TOLERANCES = {"image": {"mean": 5e-7, "p99.9": 5e-6}, "gradients": {"relative_l2": 2e-6, "1 - cosine": 1e-9}}
 
 # Relative L2 errors that count as float32's own. Measured where nothing is extreme: images up to 6e-7,

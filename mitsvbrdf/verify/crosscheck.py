@@ -7,6 +7,7 @@ float32 allows there (:mod:`mitsvbrdf.verify.float32_limits`).
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping, MutableMapping, Sequence
 from functools import partial
@@ -28,7 +29,7 @@ from ..render import Renderer, make_renderer
 from ..render.needs import scene_needs
 from ..views import Views
 from .findings import summary, violations
-from .float32_limits import Limit, float32_limit
+from .float32_limits import float32_limit
 
 SCHEMA_VERSION = 2
 
@@ -95,56 +96,52 @@ class _Case:
     def __init__(self, twin: Renderer, svbrdf: SVBRDF, views: Views, names: list[str],
                  transfer: color.Transfer) -> None:
         self.svbrdf, self.transfer = svbrdf, transfer
-        everything = fixed_cotangent(torch.Size((len(views), svbrdf.resolution, svbrdf.resolution, 3)))
-        # All views together, then each alone.
-        self.views = [views, *(views.pick([k]) for k in range(len(views)))]
-        self.cotangents = [everything, *everything.split(1)]
-        self.exact = [render_and_gradients(twin, svbrdf, v, c) for v, c in zip(self.views, self.cotangents)]
-        self.limits = [float32_limit(twin, svbrdf, *each)
-                       for each in zip(self.views, self.exact, self.cotangents)]
-        self.names, self.image = names, self.exact[0].image
+        cotangent = fixed_cotangent(torch.Size((len(views), svbrdf.resolution, svbrdf.resolution, 3)))
+        self.views, self.names = views, names
+        self.exact = render_and_gradients(twin, svbrdf, views, cotangent)
+        self.change = float32_limit(twin, svbrdf, views, self.exact, cotangent)
+        image = self.exact.image
         # of the relative error of each value, N x R x R x 3
-        self.limit = UNIT_ROUNDOFF + relative_error(self.image + self.limits[0].image, self.image)
+        self.limit = UNIT_ROUNDOFF + relative_error(image + self.change.image, image)
         rough = svbrdf["roughness"][..., 0] >= ROUGH_FROM
         self.classes = {"rough": rough, "smooth": ~rough}
 
     def compare(self, renderer: Renderer) -> tuple[dict, Tensor]:
         """A renderer's part of the record but for run times, and the error map of its worst view."""
-        got = [render_and_gradients(renderer, self.svbrdf, v, c) for v, c in zip(self.views, self.cotangents)]
+        got = render_and_gradients(renderer, self.svbrdf, self.views)
         # as it is shown: a metallic map that wants its slope at 1 adds a rounding to dark texels
         with torch.no_grad():
-            image = renderer.render(self.svbrdf, self.views[0])
-        off = relative_error(image, self.image)
-        try:
-            looks = [flip(torch.nan_to_num(a), b, self.transfer) for a, b in zip(image, self.image)]
-        except BackendError:  # it decides nothing here
-            looks = []
-        shown, wanted = (color.to_display(x, self.transfer) for x in (image.double(), self.image))
+            image = renderer.render(self.svbrdf, self.views)
+        off = relative_error(image, self.exact.image)
+        look: dict[str, float | None] = {"mean": None, "worst": None}
+        with contextlib.suppress(BackendError):  # without the extra; it decides nothing here
+            looks = torch.stack([flip(torch.nan_to_num(a), b, self.transfer)
+                                 for a, b in zip(image, self.exact.image)])
+            look = {"mean": float(looks.mean()), "worst": float(looks.max())}
+        shown, wanted = (color.to_display(x, self.transfer) for x in (image.double(), self.exact.image))
         shown = (shown - wanted).abs()
-        per_view = [{"view": name, "flip": _flip(looks[k:k + 1])}
-                    | self._figures(off[k:k + 1], k + 1, got[k + 1])
-                    for k, name in enumerate(self.names)]
-        figures = {"omitted": self._omitted(renderer.name), **self._figures(off, 0, got[0]),
-                   "display": _finite({"mean": float(shown.mean()), "worst": float(shown.max())}),
-                   "flip": _flip(looks), "per_view": per_view,
-                   "worst_texels": [texel for texels in self.classes.values()
-                                    for texel in self._worst_texels(image, off, texels)]}
         error_map = torch.nan_to_num(off.abs(), nan=torch.inf).amax(dim=-1)
         worst = int(error_map.flatten(1).mean(dim=1).argmax())
-        return figures | {"worst_view": self.names[worst]}, error_map[worst]
+        return {"omitted": self._omitted(renderer.name),
+                **{name: self._figures(texels, off, got) for name, texels in self.classes.items()},
+                "display": _finite({"mean": float(shown.mean()), "worst": float(shown.max())}), "flip": look,
+                "worst_texels": [texel for texels in self.classes.values()
+                                 for texel in self._worst_texels(image, off, texels)],
+                "worst_view": self.names[worst]}, error_map[worst]
 
-    def _figures(self, off: Tensor, which: int, got: Measured) -> dict:
-        """Errors and limits by class of texels, None without any; ``which``: 0 all views, k + 1 view k."""
-        limit = self.limit if which == 0 else self.limit[which - 1:which]
-        return {name: None if not texels.any() else {
-            "texels": int(texels.sum()),
-            "image": _image_figures(off[:, texels]),
-            "gradients": {n: _gradient_figures(got.gradients[n][texels], g[texels])
-                          for n, g in self.exact[which].gradients.items()},
-            "limit": {"image": {n: value for n, value in error_statistics(limit[:, texels]).items()
-                                if n != "bias"},
-                      "gradients": _gradient_limits(self.limits[which], self.exact[which], texels)},
-        } for name, texels in self.classes.items()}
+    def _figures(self, texels: Tensor, off: Tensor, got: Measured) -> dict | None:
+        """Errors and limits over these texels (R x R, bool), None without any."""
+        if not texels.any():
+            return None
+        off = off[:, texels]
+        limit = error_statistics(self.limit[:, texels])
+        return {"texels": int(texels.sum()),
+                "image": _finite(error_statistics(off)) | {"not_finite": int((~torch.isfinite(off)).sum())},
+                "gradients": {name: _gradient_figures(got.gradients[name][texels], gradient[texels])
+                              for name, gradient in self.exact.gradients.items()},
+                "limit": {"image": {name: limit[name] for name in ("mean", "p99.9", "worst")},
+                          "gradients": {name: _relative(self.change.gradients[name][texels], gradient[texels])
+                                        for name, gradient in self.exact.gradients.items()}}}
 
     def _worst_texels(self, image: Tensor, off: Tensor, among: Tensor, count: int = 3) -> list[dict]:
         """The texels of ``among`` (R x R, bool) furthest off, each in its worst view and channel."""
@@ -157,14 +154,14 @@ class _Case:
             k = int(view[row, column])
             at = k, row, column, int(channel[k, row, column])
             found.append({"view": self.names[k], "row": row, "column": column, "channel": "rgb"[at[3]],
-                          "reference": float(self.image[at]), "limit": float(self.limit[at]),
+                          "reference": float(self.exact.image[at]), "limit": float(self.limit[at]),
                           "roughness": float(self.svbrdf["roughness"][row, column])}
                          | _finite({"value": float(image[at]), "relative_error": float(error[at])}))
         return found
 
     def _omitted(self, renderer: str) -> list[dict[str, str]]:
         """As :func:`render_and_gradients` asks for it: every map wants a gradient."""
-        needs = scene_needs(self.svbrdf.map(lambda t: t.detach().clone().requires_grad_()), self.views[0],
+        needs = scene_needs(self.svbrdf.map(lambda t: t.detach().clone().requires_grad_()), self.views,
                             renderer)
         return [{"what": what, "why": reason} for what, reason in needs.omitted]
 
@@ -180,18 +177,6 @@ def _finite(figures: dict) -> dict:
     return {name: value if math.isfinite(value) else None for name, value in figures.items()}
 
 
-def _flip(looks: Sequence[Tensor]) -> dict:
-    """Of pixels of all views; None where FLIP cannot be computed here."""
-    if not looks:
-        return {"mean": None, "worst": None}
-    whole = torch.stack(list(looks))
-    return {"mean": float(whole.mean()), "worst": float(whole.max())}
-
-
-def _image_figures(off: Tensor) -> dict:
-    return _finite(error_statistics(off)) | {"not_finite": int((~torch.isfinite(off)).sum())}
-
-
 def _gradient_figures(gradient: Tensor, reference: Tensor) -> dict:
     """:func:`gradient_error`, None where the reference is 0, with the lengths of reference and difference."""
     difference = (gradient.double() - reference).norm()
@@ -200,8 +185,7 @@ def _gradient_figures(gradient: Tensor, reference: Tensor) -> dict:
     return _finite(figures) | {"not_finite": int((~torch.isfinite(gradient)).sum())}
 
 
-def _gradient_limits(limit: Limit, exact: Measured, texels: Tensor) -> dict[str, float | None]:
-    lengths = {name: (float(limit.gradients[name][texels].norm()), float(value[texels].norm()))
-               for name, value in exact.gradients.items()}
-    return {name: UNIT_ROUNDOFF + change / length if length else None
-            for name, (change, length) in lengths.items()}
+def _relative(change: Tensor, gradient: Tensor) -> float | None:
+    """The float32 limit of a gradient's relative L2 error; None where the gradient is 0."""
+    length = float(gradient.norm())
+    return UNIT_ROUNDOFF + float(change.norm()) / length if length else None

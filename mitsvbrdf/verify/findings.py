@@ -66,14 +66,10 @@ def violations(record: dict) -> list[dict]:
 
     Returns:
         One dict each with ``material``, ``bsdf``, ``renderer``, ``what``, ``value``, ``tolerance``, and
-        ``limit``: what float32 allows there, None where that is not known. Of the views alone only the worst
-        is named for each map.
+        ``limit``: what float32 allows there, None where that is not known.
     """
-    found = []
-    for configuration in record["configurations"]:
-        where = {name: configuration[name] for name in ("material", "bsdf", "renderer")}
-        found += [where | each for each in _exceeded(configuration)]
-    return found
+    return [{name: configuration[name] for name in ("material", "bsdf", "renderer")} | each
+            for configuration in record["configurations"] for each in _exceeded(configuration)]
 
 
 def _exceeded(configuration: dict) -> list[dict]:
@@ -86,24 +82,16 @@ def _exceeded(configuration: dict) -> list[dict]:
     for name, tolerance in TOLERANCES["image"].items():
         found += _over(f"{name} relative image error", rough["image"][name], tolerance,
                        rough["limit"]["image"][name])
-    for name in rough["gradients"]:
-        found += _gradient_exceeded(f"gradient of {name}", rough, name)
-        alone = [each for view in configuration["per_view"]
-                 for each in _gradient_exceeded(f"gradient of {name}, view {view['view']} alone",
-                                                view["rough"], name, True)]
-        found += [max(alone, key=lambda each: each["value"] / (each["tolerance"] or 1e-300))] if alone else []
+    stated = TOLERANCES["gradients"]
+    for name, gradient in rough["gradients"].items():
+        what, limit = f"gradient of {name}", rough["limit"]["gradients"][name]
+        if gradient["reference"] == 0:
+            found += _over(f"{what}: length, 0 in the reference", gradient["difference"], 0, None)
+            continue
+        turned = None if gradient["cosine"] is None else 1 - gradient["cosine"]
+        found += _over(f"{what}: relative L2", gradient["relative_l2"], stated["relative_l2"], limit)
+        found += _over(f"{what}: 1 - cosine", turned, stated["1 - cosine"], None)
     return found
-
-
-def _gradient_exceeded(what: str, figures: dict, name: str, alone: bool = False) -> list[dict[str, Any]]:
-    """The tolerances of one map's gradient that do not hold; ``alone``: of a single view."""
-    gradient, limit = figures["gradients"][name], figures["limit"]["gradients"][name]
-    if gradient["reference"] == 0:
-        return _over(f"{what}: length, 0 in the reference", gradient["difference"], 0, None)
-    tolerance = max(TOLERANCES["gradients"]["relative_l2"], limit if alone else 0)
-    turned = None if gradient["cosine"] is None else 1 - gradient["cosine"]
-    return [*_over(f"{what}: relative L2", gradient["relative_l2"], tolerance, limit),
-            *_over(f"{what}: 1 - cosine", turned, TOLERANCES["gradients"]["1 - cosine"], None)]
 
 
 def _over(what: str, value: float | None, tolerance: float, limit: float | None) -> list[dict[str, Any]]:

@@ -9,7 +9,6 @@ from helpers import ANALYTIC, TWIN
 from helpers.crosschecks import THREE
 from helpers.tables import words_at_the_right
 
-from mitsvbrdf.io import files
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.gradients import render_and_gradients
 from mitsvbrdf.measure.metrics import image_error
@@ -17,56 +16,17 @@ from mitsvbrdf.measure.tolerances import TOLERANCES
 from mitsvbrdf.report.crosscheck_page import error_against_time, write_crosscheck_page
 from mitsvbrdf.verify.crosscheck import crosscheck
 
-NUMBER = (int, float)
-IMAGE = {"mean": NUMBER, "p99.9": NUMBER, "worst": NUMBER, "bias": NUMBER, "not_finite": int}
-GRADIENT = {"relative_l2": NUMBER, "cosine": NUMBER, "worst": NUMBER, "bias": NUMBER, "reference": NUMBER,
-            "difference": NUMBER, "not_finite": int}
-SPREAD = {"median": NUMBER, "low": NUMBER, "high": NUMBER, "repeats": int}
-LOOK = {"mean": NUMBER, "worst": NUMBER}
-TEXEL = {"view": str, "row": int, "column": int, "channel": str, "value": NUMBER, "reference": NUMBER,
-         "relative_error": NUMBER, "roughness": NUMBER, "limit": NUMBER}
 
-
-def assert_shaped(value, wanted, where=""):
-    """Exactly the keys of ``wanted``, with values of its types."""
-    if isinstance(wanted, dict):
-        assert set(value) == set(wanted), where
-        for name, each in wanted.items():
-            assert_shaped(value[name], each, f"{where}.{name}")
-    else:
-        assert isinstance(value, wanted) and not isinstance(value, bool), (where, value)
-
-
-def test_schema_of_the_record(real, tmp_path):
-    files.write_json(tmp_path / "r.json", real[0])
-    record = json.loads((tmp_path / "r.json").read_text())
-    assert set(record) == {"schema_version", "reference", "tolerances", "rough_from", "transfer", "command",
-                           "views", "materials", "configurations", "machine", "versions", "summary",
-                           "violations"}
+def test_the_record_is_json_and_counts_every_texel(real):
+    record = json.loads(json.dumps(real[0], allow_nan=False))
     assert record["reference"] == "analytic64" and record["tolerances"] == TOLERANCES
     assert record["versions"]["torch"] and record["machine"]["cores"]
     assert record["materials"]["leather"]["converted"].keys() == {"principled"}
     for c in record["configurations"]:
-        maps = {"roughconductor": ("diffuse", "specular"),
-                "principled": ("base_color", "metallic")}[c["bsdf"]]
-        maps = (*maps, "roughness", "normal")
-        limit = {"image": dict.fromkeys(("mean", "p99.9", "worst"), NUMBER),
-                 "gradients": dict.fromkeys(maps, NUMBER)}
-        texels = {"texels": int, "image": IMAGE, "gradients": dict.fromkeys(maps, GRADIENT), "limit": limit}
-        classes = {"rough": texels if c["rough"] else type(None), "smooth": texels if c["smooth"]
-                   else type(None)}
-        assert_shaped(c, {"material": str, "bsdf": str, "renderer": str, "omitted": list, "per_view": list,
-                          "worst_view": str, "worst_texels": list, "display": LOOK, "flip": LOOK,
-                          "seconds": {"forward": SPREAD, "backward": SPREAD}, **classes})
-        assert [view["view"] for view in c["per_view"]] == ["00", "01", "02"]
-        for view in c["per_view"]:
-            assert_shaped(view, {"view": str, "flip": LOOK, **classes})
-        for texel in c["worst_texels"]:
-            assert_shaped(texel, TEXEL)
+        assert sum(c[k]["texels"] for k in ("rough", "smooth") if c[k]) == 24 * 24
+        assert c["worst_view"] in record["views"]["names"] and c["worst_texels"]
         assert ("ray tracing" in {each["what"] for each in c["omitted"]}) == (
             c["renderer"] != "mitsuba-scene")
-    first = record["configurations"][0]
-    assert sum(first[k]["texels"] for k in ("rough", "smooth") if first[k]) == 24 * 24
 
 
 def test_figures_are_those_of_the_metrics():
