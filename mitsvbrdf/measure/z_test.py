@@ -1,7 +1,22 @@
-"""Whether noise explains a difference: a two-sided Z-test of every value and of the means.
+"""A Z-test for pictures with noise: is a path-traced picture off by more than its own noise explains?
 
-What is assumed, and what was measured of it, stands at :func:`mitsvbrdf.testing.assert_z_test`
-(``testing/noise.py``).
+As in Mitsuba's own test suite (``src/render/tests/test_renders.py``): a two-sided test of every value with
+Sidak's correction. The mean of each channel is tested too, since a small bias hides in the noise of each
+pixel but not of all. Pixels and means share the significance level evenly.
+
+Assumed:
+
+- Pixels are independent: a box filter, one sample stream each. (Channels of a pixel may depend on each other:
+  Sidak's correction holds for two-sided tests of jointly normal values, however correlated.)
+- The picture is the mean of so many samples that its values are near normal even 4 to 5 standard deviations
+  out. Fireflies are not; ``outliers`` lets a share of the values off, 0.0025 in Mitsuba's suite.
+- The variance is that of the picture under test, or is estimated from independent passes of it, best 16 or
+  more with several samples each. Student's t, turned into a normal score (Wallace 1959), allows for the
+  estimate.
+
+Measured on made materials under an area light, 24 px, 16 passes of 4 samples, 200 seeds, significance 0.01:
+leather fails 1 % of the time; glazed tiles, whose sharp highlights few samples find, 12.5 %, and 0.5 % with
+``outliers=0.0025`` or with 16 samples a pass. Made 2 % brighter, all fail.
 """
 
 from __future__ import annotations
@@ -47,7 +62,7 @@ class ZTest:
 
 def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, reference_variance: Tensor
            | float = 0.0, significance: float = 0.01, outliers: float = 0.0) -> ZTest:
-    """Test a noisy picture against a reference; ``testing/noise.py`` says what is assumed.
+    """Test a noisy picture against a reference.
 
     Args:
         image: H x W x C, linear, the mean of many samples a pixel.

@@ -12,7 +12,7 @@ from typing import Any
 
 _HOME = {"assert_renderers_agree": ".agreement", "LIMITS": ".agreement", "Limits": ".agreement",
          "random_material": "..material.corner_cases", "assert_matches_golden": ".golden",
-         "assert_z_test": ".noise", "z_test": "..measure.z_test", "ZTest": "..measure.z_test"}
+         "z_test": "..measure.z_test", "ZTest": "..measure.z_test"}
 __all__ = sorted(_HOME)
 
 

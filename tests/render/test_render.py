@@ -15,7 +15,6 @@ from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
 from mitsvbrdf.measure.gradients import render_and_gradients
 from mitsvbrdf.measure.metrics import gradient_error, image_error
 from mitsvbrdf.render import RENDERERS, make_renderer
-from mitsvbrdf.render.exclusive import using_mitsuba
 from mitsvbrdf.render.needs import CONSTANT_FRESNEL_DEGREES, Needs, half_angle_bound, scene_needs
 from mitsvbrdf.testing import LIMITS, assert_matches_golden, assert_renderers_agree, random_material
 from mitsvbrdf.views import Views, texel_positions
@@ -153,15 +152,6 @@ def test_made_material_with_global_structure(name):
     assert_renderers_agree(make_material("inlay", 64), GRID, [name])
 
 
-@pytest.mark.parametrize("name", ["mitsuba", "mitsuba-scene"])
-def test_another_variant_set_in_between_does_no_harm(name):
-    renderer, material = make_renderer(name), random_material("roughconductor")
-    before = renderer.render(material, GRID.pick([0]))
-    with using_mitsuba() as mi:
-        mi.set_variant("scalar_rgb")
-        assert torch.equal(renderer.render(material, GRID.pick([0])), before)
-
-
 def test_renderers_live_side_by_side():
     # Dr.Jit traces every BSDF it knows when a ray calls one; those of an idle texel renderer must not mind.
     texels, scene = make_renderer("mitsuba"), make_renderer("mitsuba-scene")
@@ -213,18 +203,6 @@ def test_leaving_out_the_fresnel_curve_costs_less_than_it_says():
         material = flat(8, diffuse=0.0, specular=f0, dtype=torch.float64)
         constant = make_renderer("analytic64", needs=Needs(fresnel_curve=False)).render(material, views)
         assert image_error(constant, make_renderer("analytic64").render(material, views))["worst"] < 5e-7
-
-
-@pytest.mark.parametrize("name", ["mitsuba", "mitsuba-scene"])
-def test_another_variant_set_before_the_backward_pass_does_no_harm(name):
-    renderer, gradients = make_renderer(name), []
-    for variant in (renderer.variant, "scalar_rgb"):
-        leaves = random_material("roughconductor", 16).map(lambda t: t.clone().requires_grad_())
-        image = renderer.render(leaves, GRID.pick([0]))
-        with using_mitsuba() as mi:
-            mi.set_variant(variant)
-            gradients.append(torch.autograd.grad(image.sum(), leaves["roughness"])[0])
-    assert gradient_error(*gradients)["relative_l2"] < 1e-6
 
 
 @pytest.mark.parametrize("name", ["mitsuba", "mitsuba-scene", "analytic"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import flip_evaluator  # noqa: F401  (what is loaded here stays loaded after the small suites in this process)
 import mpmath
 import numpy as np
 import pytest
@@ -16,7 +15,7 @@ from mitsvbrdf.export.mitsuba import write_scene
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.measure.z_test import _normal_score
-from mitsvbrdf.testing import assert_z_test, z_test
+from mitsvbrdf.testing import z_test
 
 
 def noisy(seed, bias=1.0, side=16, passes=16):
@@ -82,12 +81,11 @@ def test_what_is_exactly_equal_or_not_a_number():
     assert not found.passed and found.outside == 1 / 48
 
 
-@pytest.mark.parametrize("image, spread, error", [
-    (torch.zeros(4, 4, 3), torch.zeros(5, 4, 3), MapsError), (torch.zeros(4, 4, 3), torch.zeros(7, 4, 4, 3),
-                                                              MapsError),
-    (torch.ones(4, 4, 3), torch.zeros(16, 4, 4, 3), MapsError)])
-def test_pictures_that_do_not_belong_together(image, spread, error):
-    with pytest.raises(error):
+@pytest.mark.parametrize("image, spread", [
+    (torch.zeros(4, 4, 3), torch.zeros(5, 4, 3)), (torch.zeros(4, 4, 3), torch.zeros(7, 4, 4, 3)),
+    (torch.ones(4, 4, 3), torch.zeros(16, 4, 4, 3))])
+def test_pictures_that_do_not_belong_together(image, spread):
+    with pytest.raises(MapsError):
         z_test(image, spread, torch.zeros(4, 4, 3))
 
 
@@ -106,17 +104,6 @@ def test_shares_of_outliers_that_are_none(share):
     one = torch.ones(4, 4, 3)
     with pytest.raises(ConfigError, match="outliers"):
         z_test(one, one, one, outliers=share)
-
-
-def test_a_failed_z_test_says_what_and_where(report):
-    passes, truth = noisy(0, bias=1.02)
-    with pytest.raises(AssertionError,
-                       match=r"mean of channel 0, standard(.|\n)*mean of the image 1\.0") as told:
-        assert_z_test(passes.mean(dim=0), passes, truth)
-    (path,) = report.glob("*.html")
-    assert f"page: {path}" in str(told.value) and path.read_text().count("data:image/png") == 4
-    passes, truth = noisy(0)
-    assert_z_test(passes.mean(dim=0), passes, truth)
 
 
 @pytest.fixture(scope="module")
