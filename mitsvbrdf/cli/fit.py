@@ -44,7 +44,7 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
         = "hierarchical",
         explain: Annotated[bool, arg(
             help="Print what this fit omits, decides as it runs, and uses; do not fit.")] = False,
-        profile: Annotated[bool, arg(help="Print the time of each part of a step.")] = False,
+        profile: Annotated[bool, arg(help="Print the seconds of each part of the fit.")] = False,
         pretrain: Annotated[bool, arg(help=(
             "First stage of --preset paper-two-stage: train the generator on the first photo; OUT is its "
             "checkpoint, for --pretrained."))] = False,

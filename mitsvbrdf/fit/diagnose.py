@@ -13,7 +13,7 @@ from torch import Tensor
 from ..calibrate.estimate import ESTIMATED, POWER, EstimatedViews
 from ..calibrate.refine import CHANGE
 from ..capture import Capture
-from ..io.profile import profile_summary, profiled
+from ..io.profile import profile_seconds, profiled
 from ..io.provenance import machine, versions
 from ..material.maps import SVBRDF
 from ..measure.burn_in import burn_in, local_burn_in
@@ -53,7 +53,7 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
     calibration = views_record(capture, views, task.estimated, *method.views_deviation, told)
     stated = _stated_views(capture, views, (x, y), told)
     calibrated_rmse = rerender(renderer, svbrdf, stated, capture)[1] if stated else None
-    profile = profile_summary()
+    profile = profile_seconds()
     record = {"schema_version": SCHEMA_VERSION, "method": method_name(config),
         "renderer": renderer.name, "variant": renderer.variant, "bsdf": svbrdf.bsdf,
         "rerender_rmse": total, "per_photo": dict(zip(capture.names, each)),

@@ -14,7 +14,7 @@ from torch import Tensor
 from ..capture import Capture
 from ..errors import ConfigError, MitsvbrdfError, NotFiniteError
 from ..io.json import NUMBER, shape_error
-from ..io.profile import STEP, profiled
+from ..io.profile import profiled
 from ..io.signals import stop_signals
 from ..material.maps import SVBRDF
 from ..measure.rerender import rerender
@@ -113,7 +113,7 @@ class Loop:
         Returns:
             The state to go back to next time, and the losses.
         """
-        with profiled(STEP):
+        with profiled("other"):  # but for the parts inside
             try:
                 losses = self.method.step(self.progress)
             except NotFiniteError as error:

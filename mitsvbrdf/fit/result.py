@@ -59,7 +59,7 @@ class Fit:
     stopped = Fact[str]()
     """Why it ended: settled, budget, iterations, interrupted or unstable (too many steps undone)."""
     profile = Fact[dict | None](None)
-    """Where the time went, where :func:`mitsvbrdf.io.profile.profiling` was on; else None."""
+    """Seconds by part, where :func:`mitsvbrdf.io.profile.profiling` was on; else None."""
     rerender_rmse = Fact[float]()
     """Error of the re-rendered photos, in display values clipped to [0, 1]."""
     calibrated_rmse = Fact[float | None](None)

@@ -10,10 +10,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, TextIO
 
-import rich.progress
 from rich.console import Console
 from rich.live import Live
-from rich.table import Table
+from rich.table import Column, Table
 from rich.text import Text
 
 
@@ -73,8 +72,8 @@ class Lines:
 def progress_bar(title: str, lasting: bool = False) -> Iterator[Callable[[str, float], None]]:
     """Show progress; yields a function to call with (text, share done).
 
-    A terminal shows a bar, or the text below the title where it is ``lasting`` and stays at the end. A
-    notebook shows a :class:`Cell`. Everything else gets :class:`Lines`.
+    A terminal shows the text below the title, which stays at the end if ``lasting``. A notebook shows a
+    :class:`Cell`. Everything else gets :class:`Lines`.
     """
     if console.is_jupyter:
         with contextlib.closing(Cell(title)) as cell:
@@ -83,15 +82,9 @@ def progress_bar(title: str, lasting: bool = False) -> Iterator[Callable[[str, f
     elif not on_terminal():
         say(title)
         yield Lines().show
-    elif lasting:
-        with Live(Text(title), console=console, refresh_per_second=4) as live:
-            yield lambda text, share: live.update(Text(f"{title}\n{share:4.0%}  {text}"))
     else:
-        columns = (rich.progress.TextColumn("{task.description}", markup=False), rich.progress.BarColumn(),
-                   rich.progress.TaskProgressColumn())
-        with rich.progress.Progress(*columns, console=console, transient=True) as bar:
-            task = bar.add_task(title, total=1.0)
-            yield lambda text, share: bar.update(task, description=f"{title}: {text}", completed=share)
+        with Live(Text(title), console=console, refresh_per_second=4, transient=not lasting) as live:
+            yield lambda text, share: live.update(Text(f"{title}\n{share:4.0%}  {text}"))
 
 
 class Progress:
@@ -164,18 +157,12 @@ def say_written(*paths: Path | None) -> None:
         say(f"wrote {', '.join(names)}")
 
 
-def print_profile(profile: dict) -> None:
-    """The table of a :meth:`mitsvbrdf.io.profile.Profile.summary`."""
-    table = Table(title=f"Seconds a step, {profile['steps']} steps", title_justify="left")
-    for name in ("part", "median", "quartiles", "share", "steps"):
-        table.add_column(name, justify="left" if name == "part" else "right")
-    whole = {"step": profile["step"] | {"share": 1.0}} if profile["steps"] else {}
-    for name, part in (profile["parts"] | whole).items():
-        table.add_row(name, f"{part['median']:.4f}", f"{part['low']:.4f} to {part['high']:.4f}",
-                      f"{part['share']:.1%}", str(part["repeats"]))
+def print_profile(profile: dict[str, float]) -> None:
+    """The table of :func:`mitsvbrdf.io.profile.profile_seconds`, with shares of their sum."""
+    table = Table("part", Column("seconds", justify="right"), Column("share", justify="right"))
+    for name, seconds in profile.items():
+        table.add_row(name, f"{seconds:.2f}", f"{seconds / sum(profile.values()):.1%}")
     print_rich(table)
-    beside = {"first steps": profile["warm_up"]} | profile["beside"]
-    say("beside these: " + ", ".join(f"{name} {seconds:.2f} s" for name, seconds in beside.items()))
 
 
 def print_numbers(title: str, numbers: dict[str, float]) -> None:
