@@ -10,33 +10,19 @@ from typing import Any
 from . import files
 
 
-class Unfailing(io.RawIOBase):
+class Unfailing(io.FileIO):
     """A stream to write to that never raises: after the first failure it drops what is written."""
 
-    def __init__(self, raw: Any) -> None:
-        self.raw = raw
-        self.failure: OSError | None = None
+    failure: OSError | None = None
 
-    def write(self, data: Any) -> int | None:
+    def write(self, data: Any, /) -> int:
         """Bytes taken; all of them where there is nowhere to put them."""
         if self.failure is None:
             try:
-                return self.raw.write(data)
+                return super().write(data)
             except OSError as reason:
                 self.failure = reason
         return len(data)
-
-    def writable(self) -> bool:
-        """It is."""
-        return True
-
-    def fileno(self) -> int:
-        """The file descriptor below."""
-        return self.raw.fileno()
-
-    def isatty(self) -> bool:
-        """Whether a terminal shows it."""
-        return self.raw.isatty()
 
 
 def guard_streams() -> None:
@@ -49,22 +35,12 @@ def guard_streams() -> None:
             os.fstat(number)
         except OSError:  # takes the lowest free number; writing to it fails as it would to a closed one
             os.open(os.devnull, os.O_RDONLY)
-    if sys.stdin is None:
-        sys.stdin = open(0, closefd=False)
-    sys.stdout = _guarded(sys.stdout, 1, "replace")
-    sys.stderr = _guarded(sys.stderr, 2, "backslashreplace")
-
-
-def _guarded(stream: Any, number: int, errors: str) -> Any:
-    if stream is not None and not isinstance(stream, io.TextIOWrapper):
-        return stream  # of an environment of its own
-    if stream is None:
-        raw: Any = io.FileIO(number, "w", closefd=False)
-        return io.TextIOWrapper(io.BufferedWriter(Unfailing(raw)), "utf-8", errors)
-    stream.flush()
-    raw = getattr(stream.buffer, "raw", stream.buffer)
-    return io.TextIOWrapper(io.BufferedWriter(Unfailing(raw)), stream.encoding, errors,
-                            line_buffering=stream.line_buffering or stream.write_through)
+    for name, number, errors in (("stdout", 1, "replace"), ("stderr", 2, "backslashreplace")):
+        given = getattr(sys, name)
+        buffer = io.BufferedWriter(Unfailing(number, "w", closefd=False))
+        lines = given is not None and (given.line_buffering or given.write_through)
+        setattr(sys, name, io.TextIOWrapper(buffer, given.encoding if given else "utf-8", errors,
+                                            line_buffering=lines))
 
 
 def told(code: int) -> int:
@@ -75,7 +51,7 @@ def told(code: int) -> int:
     """
     sys.stdout.flush()
     raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)
-    failure = raw.failure if isinstance(raw, Unfailing) else None
+    failure = getattr(raw, "failure", None)
     if failure is None or isinstance(failure, BrokenPipeError):
         return code
     reason = failure.strerror or failure
