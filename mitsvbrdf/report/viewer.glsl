@@ -1,4 +1,4 @@
-// The shading of render/analytic.py, formula by formula, for one point light, or for a studio around the surface. PRINCIPLED,
+// The shading of render/analytic.py, formula by formula, for one point light. PRINCIPLED,
 // MIN_ALPHA, F0_LOW, F0_HIGH and DIELECTRIC_F0 are defined by viewer.js from the package's own constants. Directions are in the
 // surface's frame: +x along u, +y up, +z out of the surface. Lengths are in patch sides.
 //
@@ -10,20 +10,17 @@ precision highp sampler2D;
 
 const float PI = 3.14159265358979;
 const int RECTIFIED = 0, PATCH = 1, SPHERE = 2;      // surface
-const int POINT = 0, STUDIO = 1;                     // lighting
 const int LIT = 0, COLOUR = 1, SECOND = 2, ROUGHNESS = 3, NORMAL = 4;  // show
 
 uniform sampler2D colourMap;  // rgb: diffuse or base colour; a: roughness
 uniform sampler2D secondMap;  // rgb: specular; r: metallic
 uniform sampler2D normalMap;
-uniform sampler2D lobes, diffuseLight, shares;  // of report/viewer_lighting.py
 uniform vec3 camera, light, intensity;
-uniform mat3 turned;          // from here to the studio's axes: right, ahead, up
 uniform mat3 axes;            // of the camera: right, up, back
 uniform vec2 span;            // of the picture, in pixels
 uniform float zoom, exposure, roughnessScale;
 uniform vec4 uses;            // colour, second, roughness, normal: 1 or 0
-uniform int surface, lighting, show, samples, tiles;
+uniform int surface, show, samples, tiles;
 uniform bool linearOutput;
 
 out vec4 pixel;
@@ -94,40 +91,6 @@ vec3 reflected(Texel m, vec3 v, vec3 l) {
   return diffuseColour(m, n_l, n_v, h_l) / PI * n_l + lobe * specularColour(m, h_l);
 }
 
-// Of a direction of the studio, one of `levels` pictures that lie one below the other: the first row is up, the last one down.
-vec3 around(sampler2D pictures, float level, float levels, vec3 d) {
-  float rows = float(textureSize(pictures, 0).y) / levels, row = acos(clamp(d.z, -1.0, 1.0)) / PI * (rows - 1.0) + 0.5;
-  return texture(pictures, vec2(atan(d.x, d.y) / (2.0 * PI) + 0.5, (level + row / rows) / levels)).rgb;
-}
-
-// Two lobes are mixed so that their alpha^2, the breadth squared, is that of this roughness.
-vec3 lobeOf(float roughness, vec3 d) {
-  float at = roughness * (LOBE_LEVELS - 1.0), below = min(floor(at), LOBE_LEVELS - 2.0);
-  vec3 fourth = vec3(at, below, below + 1.0);
-  fourth *= fourth;
-  fourth *= fourth;
-  return mix(around(lobes, below, LOBE_LEVELS, d), around(lobes, below + 1.0, LOBE_LEVELS, d),
-             (fourth.x - fourth.y) / (fourth.z - fourth.y));
-}
-
-vec3 reflectedStudio(Texel m, Point p, vec3 v) {  // split sum; seen aslant, an approximation
-  float n_v = dot(m.normal, v);
-  if (n_v <= 0.0 && surface != SPHERE) return vec3(0);
-  mat3 there = turned * p.frame;
-  vec2 share = texture(shares, vec2(n_v, m.roughness)).rg;
-  // Rough lobes lean from the mirrored direction to the normal (Lagarde and de Rousiers 2014, "Moving Frostbite to PBR").
-  float alpha = m.roughness * m.roughness, lean = (1.0 - alpha) * (sqrt(1.0 - alpha) + alpha);
-  vec3 normal = there * m.normal, main = there * mix(m.normal, reflect(-v, m.normal), lean);
-#ifdef PRINCIPLED
-  vec3 f0 = mix(vec3(DIELECTRIC_F0), m.colour, m.second.r), colour = (1.0 - m.second.r) * m.colour;
-#else
-  vec3 f0 = m.second, colour = m.colour;
-#endif
-  vec3 f90 = (1.0 - f0) * min(f0 / F0_LOW, 1.0);  // no reflectance without F0
-  return colour * around(diffuseLight, 0.0, 1.0, normal)
-      + (f0 * share.x + f90 * share.y) * lobeOf(m.roughness, normalize(main));
-}
-
 vec3 radiance(Point p) {
   Texel m = texelAt(p.uv);
   m.colour *= uses.x;
@@ -135,7 +98,6 @@ vec3 radiance(Point p) {
   m.roughness = min((uses.z > 0.0 ? m.roughness : 0.5) * roughnessScale, 1.0);
   m.normal = uses.w == 0.0 ? vec3(0, 0, 1) : m.normal * p.flip;
   vec3 toLight = light - p.position, v = normalize(camera - p.position) * p.frame;
-  if (lighting == STUDIO) return reflectedStudio(m, p, v);
   return reflected(m, v, normalize(toLight) * p.frame) * intensity / dot(toLight, toLight);
 }
 

@@ -10,9 +10,8 @@
   const [colour, second] = names;
 
   const start = () => ({
-    surface: "patch", show: "lit", lighting: "point",
+    surface: "patch", show: "lit",
     light: [0.3, 0.35, 1],   // above the patch; of the sphere: right, up and toward the camera from its foremost point
-    studio: 0,                // by how many degrees the studio is turned
     turn: [0, 0],             // of the camera around the surface, degrees to the right and up
     exposure: 0,              // stops
     roughnessScale: 1, tiles: 1,
@@ -20,7 +19,7 @@
   });
   const state = start();
   const DISTANCE = 3, FILL = 0.94;  // of the camera from the centre; how much of the picture the surface fills
-  const LIMITS = { studio: [-180, 180], exposure: [-4, 4], roughnessScale: [0.25, 3], tiles: [1, 4] };
+  const LIMITS = { exposure: [-4, 4], roughnessScale: [0.25, 3], tiles: [1, 4] };
 
   const clamp = (x, low, high) => Math.min(Math.max(x, low), high);
   const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -35,7 +34,7 @@
     const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
     const maps = {};
     let at = 0;
-    for (const { name, coding, top, height, width, low, high } of [...about.maps, ...about.studio]) {
+    for (const { name, coding, top, height, width, low, high } of about.maps) {
       const count = height * width;
       const channels = low.map((least, channel) => {
         const values = new Float32Array(count), step = (high[channel] - least) / top;
@@ -68,7 +67,6 @@
     const number = (x) => x.toExponential(8);
     const head = ["#version 300 es", about.bsdf === "principled" ? "#define PRINCIPLED" : "",
       `#define MIN_ALPHA ${number(about.min_alpha)}`, `#define DIELECTRIC_F0 ${number(about.dielectric_f0)}`,
-      `#define LOBE_LEVELS ${number(about.lobe_levels)}`,
       `#define F0_LOW ${number(about.f0_range[0])}`, `#define F0_HIGH ${number(about.f0_range[1])}`].join("\n");
     const program = gl.createProgram();
     for (const [kind, source] of [[gl.VERTEX_SHADER, VERTEX], [gl.FRAGMENT_SHADER, head + "\n" + find(".shader").textContent]]) {
@@ -94,19 +92,15 @@
       this.texture(0, "colourMap", [...one(colour), ...maps.roughness]);
       this.texture(1, "secondMap", one(second));
       this.texture(2, "normalMap", maps.normal);
-      about.studio.forEach(({ name, height, width }, i) => this.texture(3 + i, name, maps[name], { height, width, filtered: true }));
     }
 
-    // Floats, or half floats, which every card filters; those go around where they lie on a sphere.
-    texture(unit, name, channels, { height, width, filtered } = about.maps[0]) {
-      const gl = this.gl, texels = new Float32Array(4 * height * width);
-      const set = (keys, value) => keys.forEach((key) => gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${key}`], gl[value]));
+    texture(unit, name, channels) {
+      const gl = this.gl, { height, width } = about.maps[0], texels = new Float32Array(4 * height * width);
       channels.forEach((values, channel) => values.forEach((value, i) => { texels[4 * i + channel] = value; }));
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
-      gl.texImage2D(gl.TEXTURE_2D, 0, filtered ? gl.RGBA16F : gl.RGBA32F, width, height, 0, gl.RGBA, gl.FLOAT, texels);
-      set(["MIN_FILTER", "MAG_FILTER"], filtered ? "LINEAR" : "NEAREST");
-      set(name === "shares" ? ["WRAP_S", "WRAP_T"] : ["WRAP_T"], "CLAMP_TO_EDGE");
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, width, height, 0, gl.RGBA, gl.FLOAT, texels);
+      for (const key of ["MIN_FILTER", "MAG_FILTER"]) gl.texParameteri(gl.TEXTURE_2D, gl[`TEXTURE_${key}`], gl.NEAREST);
       gl.uniform1i(this.place(name), unit);
     }
 
@@ -116,7 +110,7 @@
       const gl = this.gl, floats = (name, values) => gl[`uniform${values.length}f`](this.place(name), ...values);
       const integer = (name, value) => gl.uniform1i(this.place(name), value);
       for (const name of ["camera", "light", "intensity"]) floats(name, scene[name]);
-      for (const name of ["axes", "turned"]) gl.uniformMatrix3fv(this.place(name), false, scene[name].flat());
+      gl.uniformMatrix3fv(this.place("axes"), false, scene.axes.flat());
       floats("span", [width, height]);
       floats("zoom", [scene.zoom]);
       floats("exposure", [2 ** scene.exposure]);
@@ -124,7 +118,6 @@
       floats("uses", [colour, second, "roughness", "normal"].map((name) => Number(scene.maps[name])));
       integer("surface", ["rectified", "patch", "sphere"].indexOf(scene.surface));
       integer("show", ["lit", colour, second, "roughness", "normal"].indexOf(scene.show));
-      integer("lighting", ["point", "studio"].indexOf(scene.lighting));
       integer("samples", samples);
       integer("tiles", scene.tiles);
       integer("linearOutput", Number(linear));
@@ -164,8 +157,6 @@
     const right = [Math.cos(across), 0, -Math.sin(across)];
     const above = [back[1] * right[2], back[2] * right[0] - back[0] * right[2], -back[1] * right[0]];
     scene.axes = [right, above, back];
-    const around = scene.studio * Math.PI / 180;
-    scene.turned = [[Math.cos(around), Math.sin(around), 0], [0, 0, 1], [Math.sin(around), -Math.cos(around), 0]];
     scene.camera = overrides.camera ?? back.map((x) => DISTANCE * x);
     scene.zoom = FILL / reachOf(scene);
     const power = Math.PI * dot(scene.light, scene.light);
@@ -184,8 +175,7 @@
     }));
   }
 
-  // What the pointer does: it turns the studio, from one side of the picture to the other by half a turn, or moves the light.
-  const follow = (x, y) => set(state.lighting === "studio" ? { studio: 90 * x } : { light: lightAt(x, y) });
+  const follow = (x, y) => set({ light: lightAt(x, y) });  // what the pointer does
 
   // Where the pointer puts the light: above the point of the patch under it; beside the sphere's foremost point.
   function lightAt(x, y) {
@@ -240,7 +230,7 @@
   };
 
   function tell() {
-    for (const name of ["surface", "lighting", "show"]) form.elements[name].value = state[name];
+    for (const name of ["surface", "show"]) form.elements[name].value = state[name];
     for (const name of names) form.querySelector(`input[type=checkbox][name=${name}]`).checked = state.maps[name];
     for (const [name, text] of Object.entries(told)) {
       const input = form.elements[name], value = name === "height" ? state.light[2] : state[name];
@@ -249,12 +239,8 @@
       input.setAttribute("aria-valuetext", text(value));
     }
     for (const set of form.querySelectorAll(".lit")) set.disabled = state.show !== "lit";
-    form.elements.height.disabled = state.lighting === "studio";
-    const source = state.lighting === "studio" ? "studio; arrow keys turn it" : "point light; arrow keys move it";
-    canvas.ariaLabel = `The material, lit by a ${source}`;
     const signed = (x, digits) => (x < 0 ? "−" : "") + Math.abs(x).toFixed(digits);
-    const lit = state.lighting === "studio" ? `Studio ${signed(state.studio, 0)}°` : `Light ${state.light.map((x) => signed(x, 2)).join(", ")}`;
-    status.textContent = `${lit} · view ${state.turn.map((x) => signed(x, 0)).join("°, ")}°`;
+    status.textContent = `Light ${state.light.map((x) => signed(x, 2)).join(", ")} · view ${state.turn.map((x) => signed(x, 0)).join("°, ")}°`;
   }
 
   function set(changes) {
@@ -298,13 +284,11 @@
   canvas.addEventListener("keydown", (event) => {
     const arrow = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] }[event.key];
     const rise = { "+": 1, "=": 1, "-": -1 }[event.key];
-    const idle = state.lighting === "studio" && !event.shiftKey && !arrow?.[0];  // it turns sideways only
-    if (event.ctrlKey || event.altKey || event.metaKey || !(arrow || rise) || idle) return;
+    if (event.ctrlKey || event.altKey || event.metaKey || !(arrow || rise)) return;
     event.preventDefault();
     const [x, y, z] = state.light;
     if (rise) set({ light: [x, y, z + 0.05 * rise] });
     else if (event.shiftKey) set({ turn: state.turn.map((angle, i) => angle - 5 * arrow[i]) });
-    else if (state.lighting === "studio") set({ studio: (state.studio + 5 * arrow[0] + 540) % 360 - 180 });
     else set({ light: [x + 0.05 * arrow[0], y + 0.05 * arrow[1], z] });
   });
 

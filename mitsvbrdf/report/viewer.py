@@ -1,6 +1,6 @@
 """The live viewer of a material: an HTML fragment that shades its maps in WebGL2.
 
-Its formulas are those of ``render/analytic.py``. A point light or the studio of previews lights them.
+Its formulas are those of ``render/analytic.py``. A point light lights them.
 
 Maps travel as integers of 12 or 16 bits, high and low bytes apart, deflated, in base64. Eight bits would not
 do: a highlight of roughness 0.1 is 0.01 wide, as wide as 2.5 steps of an 8-bit normal map.
@@ -16,7 +16,6 @@ import numpy as np
 from ..material.maps import CHANNELS, COLOURS, DIELECTRIC_F0, SVBRDF, TITLES
 from ..render.analytic import MIN_ALPHA
 from ..render.bsdf import F0_RANGE
-from . import viewer_lighting
 from .page import page_text
 
 VIEWER_SIDE = 512  # texels along a side; maps of noise are 5.3 MB then, those of materials 2 to 4.5 MB
@@ -40,18 +39,14 @@ def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
     svbrdf = svbrdf.detach().check()
     if svbrdf.resolution > largest:
         svbrdf = svbrdf.resized(largest)
-    names, min_alpha = CHANNELS[svbrdf.bsdf], MIN_ALPHA[svbrdf.bsdf]
+    names = CHANNELS[svbrdf.bsdf]
     maps = [encode(name, svbrdf[name].cpu().double().numpy(),
                    "octahedral" if name == "normal" else "square" if name in COLOURS else "plain")
             for name in names]
-    studio = [encode("lobes", viewer_lighting.lobes(), "square"),
-              encode("diffuseLight", viewer_lighting.diffuse(), "square"),
-              encode("shares", viewer_lighting.shares(min_alpha), "plain")]
-    about = {"maps": [entry for entry, _ in maps], "studio": [entry for entry, _ in studio],
-             "bsdf": svbrdf.bsdf, "resolution": svbrdf.resolution, "f0_range": F0_RANGE,
-             "dielectric_f0": DIELECTRIC_F0, "min_alpha": min_alpha, "lobe_levels": viewer_lighting.LEVELS,
+    about = {"maps": [entry for entry, _ in maps], "bsdf": svbrdf.bsdf, "resolution": svbrdf.resolution,
+             "f0_range": F0_RANGE, "dielectric_f0": DIELECTRIC_F0, "min_alpha": MIN_ALPHA[svbrdf.bsdf],
              "titles": {name: TITLES[name] for name in names}}
-    planes = b"".join(plane for _, each in (*maps, *studio) for plane in each)
+    planes = b"".join(plane for _, each in maps for plane in each)
     payload = base64.b64encode(zlib.compress(planes, 9)).decode()
     return page_text("report/viewer.html", about=about, payload=payload)
 
@@ -68,7 +63,7 @@ def encode(name: str, value: np.ndarray, coding: str) -> tuple[dict, list[bytes]
     Returns:
         ``{"name", "coding", "top", "height", "width", "low": [...], "high": [...]}``, and of each channel H x
         W high bytes, then H x W low bytes, row 0 at the top. In the page all planes follow one another,
-        deflated in zlib's format: those of the maps, in their order, then those of the studio.
+        deflated in zlib's format.
     """
     if coding == "octahedral":
         x, y = np.moveaxis(value[..., :2], -1, 0) / np.abs(value).sum(-1)

@@ -16,18 +16,16 @@ from helpers.viewer_pages import changed
 from mitsvbrdf import make_material
 from mitsvbrdf.errors import MapsError
 from mitsvbrdf.material.maps import CHANNELS, COLOURS, SVBRDF, TITLES, flat
-from mitsvbrdf.render.analytic import MIN_ALPHA
-from mitsvbrdf.report import viewer_lighting
 from mitsvbrdf.report.viewer import viewer_html
 from mitsvbrdf.testing import random_material
 
 
-def decoded(fragment: str, of: str = "maps") -> dict[str, np.ndarray]:
-    """The maps of a fragment, or its studio, float64, by what ``encode`` promises."""
+def decoded(fragment: str) -> dict[str, np.ndarray]:
+    """The maps of a fragment, float64, by what ``encode`` promises."""
     about = json.loads(re.search(r'class="about">(.*?)</script>', fragment, re.S)[1])
     raw = zlib.decompress(base64.b64decode(re.search(r'class="payload">(.*?)</script>', fragment, re.S)[1]))
     at, maps = 0, {}
-    for entry in (*about["maps"], *about["studio"]):
+    for entry in about["maps"]:
         channels, shape = [], (entry["height"], entry["width"])
         count = shape[0] * shape[1]
         for low, high in zip(entry["low"], entry["high"]):
@@ -45,7 +43,7 @@ def decoded(fragment: str, of: str = "maps") -> dict[str, np.ndarray]:
             value /= np.linalg.norm(value, axis=-1, keepdims=True)
         maps[entry["name"]] = value
     assert at == len(raw)
-    return {entry["name"]: maps[entry["name"]] for entry in about[of]}
+    return maps
 
 
 def steepest(resolution: int) -> SVBRDF:
@@ -56,17 +54,6 @@ def steepest(resolution: int) -> SVBRDF:
     across = (1 - z**2).sqrt()
     normal = torch.cat((across * around.cos(), across * around.sin(), z.clamp_min(1.001e-5)), dim=-1)
     return changed(random_material("roughconductor", resolution).to(torch.float64), normal=normal)
-
-
-def test_the_studio_survives_the_way():
-    found = decoded(viewer_html(flat(2)), "studio")
-    assert list(found) == ["lobes", "diffuseLight", "shares"]
-    for name, truth in {"lobes": viewer_lighting.lobes(), "diffuseLight": viewer_lighting.diffuse()}.items():
-        # Half a step of the square root, of 4095 from the darkest to the brightest.
-        half = 0.5 / 4095 * np.sqrt(truth.max())
-        assert np.abs(np.sqrt(found[name]) - np.sqrt(truth)).max() <= half + 1e-12
-    shares = viewer_lighting.shares(MIN_ALPHA["roughconductor"])
-    assert np.abs(found["shares"] - shares).max() <= 0.5 / 65535 + 1e-12
 
 
 @pytest.mark.parametrize("material", [

@@ -59,13 +59,13 @@ def test_pointer_and_keys_move_light_and_view(tmp_path):
 def test_every_control_is_reached_by_tab_and_has_a_name(tmp_path):
     with shown(flat(8), tmp_path) as page:
         reached = []
-        for _ in range(13):
+        for _ in range(12):
             page.keyboard.press("Tab")
             reached.append(page.evaluate("document.activeElement.name || document.activeElement.tagName"))
             outline = page.evaluate("""() => { const at = document.activeElement;
                 return getComputedStyle(at.closest(".choices label") ?? at).outlineStyle; }""")
             assert outline != "none", reached[-1]
-        assert reached == ["CANVAS", "surface", "lighting", "show", "diffuse", "specular", "roughness",
+        assert reached == ["CANVAS", "surface", "show", "diffuse", "specular", "roughness",
                            "normal", "exposure", "roughnessScale", "height", "tiles", "BUTTON"]
         for name in ("Exposure", "Roughness scale", "Light height", "Tiles"):
             assert page.get_by_role("slider", name=name, exact=True).count() == 1
