@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
+from matplotlib.figure import Figure
+
+from ..report.charts import svg_file as svg
 from .table import Judged, published_means, summary
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+__all__ = ["plot", "svg"]
 
 
 def plot(groups: Sequence[Judged]) -> Figure:
     """A panel for each group: median error against median seconds of the loop, quartiles shaded."""
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(4.6 * len(groups), 3.6), layout="constrained")
     for axes, group in zip(figure.subplots(1, len(groups), squeeze=False)[0], groups):
         found = summary(group.records, group.error)
@@ -30,13 +28,3 @@ def plot(groups: Sequence[Judged]) -> Figure:
         axes.set_title(group.title.replace(": ", ":\n", 1), fontsize=9)
         axes.legend(fontsize=7)
     return figure
-
-
-def svg(figure: Figure) -> bytes:
-    """The content of an SVG file: white ground, text as text, the same bytes for the same figure."""
-    import matplotlib
-
-    data = io.BytesIO()
-    with matplotlib.rc_context({"svg.hashsalt": "mitsvbrdf", "svg.fonttype": "none"}):
-        figure.savefig(data, format="svg", metadata={"Date": None}, facecolor="white")
-    return data.getvalue()

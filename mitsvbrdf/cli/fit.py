@@ -63,7 +63,7 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
     --iterations 500 shortens it. --fix normal=flat --fix specular=0.04 --fix diffuse=map.exr hold known maps.
 
     Ctrl-C ends the fit and keeps its best result. OUT holds report.html, the page to look at, maps/,
-    uncertainty/, guess/, photos/, rerendered/, sheet.png, curve.svg, scene.xml (for plain Mitsuba), fit.json,
+    uncertainty/, guess/, photos/, rerendered/, sheet.png, scene.xml (for plain Mitsuba), fit.json,
     report.json and the checkpoint for --resume; with --detail gan also detail/ and its page, detail.html.
     """
     if pretrain:

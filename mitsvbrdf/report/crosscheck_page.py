@@ -12,8 +12,7 @@ from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from torch import Tensor
 
 from ..verify.findings import omitted
-from .charts import quiet, svg
-from .colours import CHART_BOUND, CHART_FAINT
+from .charts import BOUND, FAINT, quiet, svg
 from .page import figure, write_page
 from .pictures import error_picture, png_uri
 
@@ -75,7 +74,7 @@ def error_against_time(record: dict) -> Figure:
     tolerances = record["tolerances"]["image"]["mean"], record["tolerances"]["gradients"]["relative_l2"]
     titles = "Mean relative image error", "Gradient of the worst map, relative L2"
     for panel, title, tolerance in zip(panels, titles, tolerances):
-        line = panel.axhline(tolerance, color=CHART_BOUND, linewidth=0.8, linestyle="--")
+        line = panel.axhline(tolerance, color=BOUND, linewidth=0.8, linestyle="--")
         quiet(panel, title, 10, 8)
         panel.set(xscale="log", yscale="log", xlabel="seconds, forward and backward")
         for axis, (low, high) in ((panel.xaxis, panel.get_xlim()), (panel.yaxis, panel.get_ylim())):
@@ -84,7 +83,7 @@ def error_against_time(record: dict) -> Figure:
             axis.set_minor_formatter(NullFormatter())
     line.set_label("stated tolerance")
     if not all(c["rough"] for c in record["configurations"]):
-        panels[0].plot([], [], "o", color=CHART_FAINT, markerfacecolor="none", markersize=4,
+        panels[0].plot([], [], "o", color=FAINT, markerfacecolor="none", markersize=4,
                        label=f"hollow: all texels below roughness {record['rough_from']}, no tolerance")
     drawing.legend(loc="outside lower center", ncols=3, fontsize=8, frameon=False)
     return drawing

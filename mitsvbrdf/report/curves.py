@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 
-from .colours import PAGE_LINES
-
+# seen on black and on white
+COLOURS = ("#d1651f", "#2b7fc4", "#3a9a54", "#b453b0", "#a98417", "#6673dc", "#c9485c", "#1f9c9c")
 CHART_WIDTH, CHART_HEIGHT = 460, 270
 # left, top, right, bottom; ticks and their numbers stand outside
 FRAME = (58, 10, CHART_WIDTH - 12, CHART_HEIGHT - 38)
@@ -40,7 +40,7 @@ def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
     y = _Axis([v for points in lines.values() for _, v in points], FRAME[3], FRAME[1])
     return {"width": CHART_WIDTH, "height": CHART_HEIGHT, "frame": FRAME,
             "x": x.ticks(), "y": y.ticks(),
-            "lines": [{"name": name, "colour": PAGE_LINES[i % len(PAGE_LINES)],
+            "lines": [{"name": name, "colour": COLOURS[i % len(COLOURS)],
                        "marked": len(points) <= MOST_MARKED,
                        "points": [(x(s), y(v), s, v) for s, v in points]}
                       for i, (name, points) in enumerate(lines.items())]}

@@ -16,7 +16,6 @@ from ..io.images import write_linear
 from ..io.progress import say
 from ..io.results import output_folder
 from ..material.map_files import DETAIL, save_maps
-from .charts import loss_curve
 from .fit_page import check_apart, keep_photos, write_report
 from .header import material_name
 from .overview import write_sheet
@@ -27,7 +26,7 @@ def write_fit(result: Fit, capture: Capture, out: str | Path, command: dict | No
               held_out: Capture | None = None, pages: bool = True, overwrite: bool = False) -> None:
     """Write a fit into a folder, which appears whole or not at all.
 
-    It holds maps, detail, uncertainty, guess, photos, re-renderings, sheet, curve, Mitsuba scene,
+    It holds maps, detail, uncertainty, guess, photos, re-renderings, sheet, Mitsuba scene,
     ``fit.json`` and the page.
 
     Args:
@@ -82,7 +81,6 @@ def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_ou
     write_sheet(out / "sheet.png", result.svbrdf, capture.photos,
                 shown, rmse=result.rerender_rmse, per_photo=result.per_photo, guess=result.guess,
                 names=capture.names, title=title, remarks=remarks)
-    loss_curve(out / "curve.svg", result.trace)
     write_scene(out, result.svbrdf, result.views)
     # held-out photos of an earlier fit are none of this one's
     (out / "report.json").unlink(missing_ok=True)

@@ -31,7 +31,7 @@ def test_a_whole_round(options, losses, shots, tmp_path, capsys):
     for stem in ("maps/diffuse", "maps/specular", "maps/roughness", "maps/normal", "guess/diffuse",
                  *(f"rerendered/{i:02d}" for i in range(9))):
         assert {f"{stem}.exr", f"{stem}.png"} <= written
-    assert {"sheet.png", "curve.svg", "scene.xml", "fit.json", "checkpoint.safetensors"} <= written
+    assert {"sheet.png", "scene.xml", "fit.json", "checkpoint.safetensors"} <= written
     assert not results.partial_folder(out).exists()
     record = json.loads((out / "fit.json").read_text())
     assert record["schema_version"] == 1 and record["stopped"] == "iterations" and record["seed"] == 0

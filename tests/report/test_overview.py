@@ -1,6 +1,4 @@
-"""The sheet and the error curve: whole files or none, of the stated size, showing what they were given."""
-
-import xml.etree.ElementTree as ElementTree
+"""The sheet: a whole file or none, of the stated size, showing what it was given."""
 
 import pytest
 import torch
@@ -14,7 +12,6 @@ from mitsvbrdf.report.canvas import HEADER_HEIGHT as HEADER
 from mitsvbrdf.report.canvas import LABEL_HEIGHT as LABEL
 from mitsvbrdf.report.canvas import PICTURE_GAP as GAP
 from mitsvbrdf.report.canvas import SHEET_MARGIN as MARGIN
-from mitsvbrdf.report.charts import loss_curve
 from mitsvbrdf.report.overview import write_sheet
 
 
@@ -61,34 +58,13 @@ def test_numbers_that_do_not_belong_together_are_refused(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def trace():
-    rows = [{"seconds": 0.0, "iteration": 0, "rerender_rmse": 0.3}]
-    return rows + [{"seconds": 0.5 * i, "iteration": 10 * i, "photo": 0.1 / i, "adversarial": 0.5 - i,
-                    "rerender_rmse": 0.2 / i} for i in range(1, 20)]
-
-
-def test_the_same_trace_gives_the_same_curve_with_readable_text(tmp_path):
-    for name in ("a.svg", "b.svg"):
-        loss_curve(tmp_path / name, trace())
-    text = (tmp_path / "a.svg").read_text()
-    assert text == (tmp_path / "b.svg").read_text()
-    assert all(f">{label}<" in text for label in ("photo", "adversarial", "seconds"))
-
-
-@pytest.mark.parametrize("rows", [0, 1, 2])
-def test_short_traces_make_a_curve_too(tmp_path, rows):
-    loss_curve(tmp_path / "a.svg", trace()[:rows])
-    assert ElementTree.parse(tmp_path / "a.svg").getroot() is not None
-
-
-@pytest.mark.parametrize("name", ["a.png", "a.svg"])
-def test_a_failing_write_leaves_the_old_file_alone(tmp_path, monkeypatch, name):
-    (tmp_path / name).write_bytes(b"old")
+def test_a_failing_write_leaves_the_old_file_alone(tmp_path, monkeypatch):
+    (tmp_path / "a.png").write_bytes(b"old")
 
     def full(*_):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.replace", full)
     with pytest.raises(OutputError, match="No space left"):
-        sheet(tmp_path / name, flat(4)) if name == "a.png" else loss_curve(tmp_path / name, trace())
-    assert [p.name for p in tmp_path.iterdir()] == [name] and (tmp_path / name).read_bytes() == b"old"
+        sheet(tmp_path / "a.png", flat(4))
+    assert [p.name for p in tmp_path.iterdir()] == ["a.png"] and (tmp_path / "a.png").read_bytes() == b"old"
