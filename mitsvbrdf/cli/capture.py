@@ -43,7 +43,7 @@ def capture(photos: Annotated[Positional[Path], arg(
     cm. Without, poses come from what the photos have in common.
 
     OUT holds capture.json and the rectified photos in target/. quality.html lists rejected photos with the
-    reason, and says where one more photo helps most. contact.jpg and quality.json hold the same.
+    reason, and says where one more photo helps most. quality.json holds its numbers.
     """
     from ..capture import write_capture
     from ..capture.align.from_sheet import refuse_tags
@@ -70,7 +70,7 @@ def capture(photos: Annotated[Positional[Path], arg(
         write_capture(result.capture, folder, capture_keys(result))
         write_quality(result, folder)
     _print(result)
-    say(f"wrote {out}/quality.html, contact.jpg, capture.json, target/; next: mitsvbrdf fit {out} -o OUT")
+    say(f"wrote {out}/quality.html, capture.json, target/; next: mitsvbrdf fit {out} -o OUT")
     return 0
 
 

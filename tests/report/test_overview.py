@@ -8,11 +8,7 @@ from mitsvbrdf.errors import CaptureError, OutputError
 from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import flat
-from mitsvbrdf.report.canvas import HEADER_HEIGHT as HEADER
-from mitsvbrdf.report.canvas import LABEL_HEIGHT as LABEL
-from mitsvbrdf.report.canvas import PICTURE_GAP as GAP
-from mitsvbrdf.report.canvas import SHEET_MARGIN as MARGIN
-from mitsvbrdf.report.overview import write_sheet
+from mitsvbrdf.report.overview import GAP, HEADER, LABEL, MARGIN, write_sheet
 
 
 def sheet(path, svbrdf, count=9, guess=None, title="50 $ of $x^2$"):
