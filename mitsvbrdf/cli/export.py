@@ -56,9 +56,9 @@ def export(
     """Write a material for other programs: OUT/FORMAT/, with an export.json that states what each file holds.
 
     gltf is one GLB with its textures. materialx holds a standard_surface and an OpenPBR surface. usd holds a
-    UsdPreviewSurface with MaterialX beside it. mitsuba is a scene, and its material as JSON. maps are PNG
-    files. Some formats cannot store the whole material. The command prints the loss: RMSE of the maps as
-    linear^(1/2.2), and of pictures under three lights in display values.
+    UsdPreviewSurface. mitsuba is a scene. maps are PNG files. Some formats cannot
+    store the whole material. The command prints the loss: RMSE of the maps as linear^(1/2.2), and of pictures
+    under three lights in display values.
     """
     formats = [part.strip() for part in to.split(",")]
     settings = ExportSettings(name_of(maps), naming, normal, bits, licence=licence or None, repeats=tile)

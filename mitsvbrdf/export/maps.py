@@ -21,24 +21,22 @@ from .textures import DEFAULTS, NORMALS, Export, ExportSettings, write_texture
 FILE_NAMES: dict[str, dict[str, str]] = {
     "own": {"diffuse": "diffuse", "specular": "specular", "base_color": "base_color", "metallic": "metallic",
             "roughness": "roughness", "normal gl": "normal", "normal dx": "normal_dx",
-            "specular_level": "specular_level",
-            "height": "height", "occlusion": "occlusion", "packed": "occlusion_roughness_metallic"},
+            "specular_level": "specular_level", "height": "height", "occlusion": "occlusion",
+            "packed": "occlusion_roughness_metallic"},
     "polyhaven": {"base_color": "NAME_diff", "metallic": "NAME_metal", "roughness": "NAME_rough",
                   "normal gl": "NAME_nor_gl", "normal dx": "NAME_nor_dx", "specular_level": "NAME_spec",
                   "height": "NAME_disp", "occlusion": "NAME_ao", "packed": "NAME_arm"},
     "ambientcg": {"base_color": "NAME_Color", "metallic": "NAME_Metalness", "roughness": "NAME_Roughness",
                   "normal gl": "NAME_NormalGL", "normal dx": "NAME_NormalDX",
-                  "specular_level": "NAME_Specular",
-                  "height": "NAME_Displacement", "occlusion": "NAME_AmbientOcclusion"},
+                  "specular_level": "NAME_Specular", "height": "NAME_Displacement",
+                  "occlusion": "NAME_AmbientOcclusion"},
     "substance": {"base_color": "NAME_BaseColor", "metallic": "NAME_Metallic", "roughness": "NAME_Roughness",
                   "normal gl": "NAME_Normal_OpenGL", "normal dx": "NAME_Normal_DirectX",
-                  "specular_level": "NAME_SpecularLevel",
-                  "height": "NAME_Height", "occlusion": "NAME_AmbientOcclusion", "packed": "NAME_ORM"},
+                  "specular_level": "NAME_SpecularLevel", "height": "NAME_Height",
+                  "occlusion": "NAME_AmbientOcclusion", "packed": "NAME_ORM"},
     "materialgan": {"diffuse": "dif", "specular": "spe", "roughness": "rgh", "normal gl": "nom",
                     "normal dx": "nom_dx"},
 }
-# Where the size stands in the name, of sizes that have one: 1K is 1024 texels.
-SIZED = {"polyhaven": "NAME_{map}_{size}k", "ambientcg": "NAME_{size}K_{map}"}
 LONGEST = 100  # letters of a material's name in file names; more would not fit every file system
 FULL_LEVEL = 0.08  # F0 of specular level 1, in Blender, Unreal and Substance; 0.5 is 0.04
 LOSSY_NOTE = ("metallic is 0 or 1: base colour is F0 of metals, and of all else diffuse / (1 - F0), for most "
@@ -77,8 +75,8 @@ def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
     written = []
     for key, file in chosen.items():
         if key in both and not (key == "specular_level" and svbrdf.bsdf == "principled"):
-            texture = write_texture(folder, f"{_named(file, settings.name, naming, svbrdf.resolution)}.png",
-                                    key, both[key], 16 if key == "height" else settings.bits, normal)
+            texture = write_texture(folder, f"{file.replace('NAME', _safe(settings.name))}.png", key,
+                                    both[key], 16 if key == "height" else settings.bits, normal)
             written.append(replace(texture, holds=holds.get(key, key)))
     if naming in ("own", "materialgan"):  # names that load_maps knows
         files.write_json(folder / "material.json", {
@@ -88,13 +86,6 @@ def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
     lossy = bool(lost) and "metallic" in chosen
     notes = ((LOSSY_NOTE,) if lossy else ()) + ((GAMMA_NOTE,) if naming == "materialgan" else ())
     return Export(tuple(texture.file for texture in written), tuple(written), notes, lost if lossy else None)
-
-
-def _named(file: str, name: str, naming: str, size: int) -> str:
-    """The file's name with the material's, and with its size in thousands where the library has that."""
-    if naming in SIZED and size % 1024 == 0:
-        file = SIZED[naming].format(map=file.removeprefix("NAME_"), size=size // 1024)
-    return file.replace("NAME", _safe(name))
 
 
 def _safe(name: str) -> str:

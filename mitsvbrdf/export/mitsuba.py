@@ -29,7 +29,7 @@ HOLDS = {"diffuse_x2": "diffuse, times 2 for the blend of two lobes",
 
 
 @entry()
-def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
+def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views, repeats: bool = False) -> Path:
     """Write ``out/scene.xml`` and float textures ``out/scene/*.exr`` for plain Mitsuba, any RGB variant.
 
     The scene shows the first view, in units of the patch side, one unjittered sample a pixel. A
@@ -40,6 +40,7 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
         out: folder; made when missing.
         svbrdf: the material.
         views: at least one view.
+        repeats: whether the textures repeat beyond their edges.
     """
     out, svbrdf = Path(out), svbrdf.detach().to(torch.float32)
     parameters = view_parameters(views, svbrdf.resolution)
@@ -56,46 +57,29 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views) -> Path:
     material = next(root.iterfind("bsdf[@id='material']"))
     material.attrib.clear()
     material.attrib.update(type="normalmap", id="material")
-    _fill(material, _material(svbrdf.bsdf))
+    _fill(material, _material(svbrdf.bsdf, repeats))
     ET.indent(tree, space="    ")
     path = out / "scene.xml"
     files.write_bytes(path, ET.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
     return path
 
 
-def write_material(out: str | Path, bsdf: Bsdf, repeats: bool = False) -> Path:
-    """Write ``out/bsdf.json``: the material of :func:`write_scene` for ``mitsuba.load_dict``.
-
-    JSON has no transforms: each ``to_uv`` is a 4 x 4 list, to be made a ``ScalarTransform4f`` when loading.
-
-    Args:
-        out: the folder of the scene; its textures are named relative to it.
-        bsdf: of the material that the scene was written for.
-        repeats: whether its textures repeat beyond their edges.
-    """
-    flip = [[1, 0, 0, 0], [0, -1, 0, 1], [0, 0, 1, 0], [0, 0, 0, 1]]
-    path = Path(out) / "bsdf.json"
-    files.write_json(path, _material(bsdf, to_uv=flip, wrap_mode="repeat" if repeats else "clamp"))
-    return path
-
-
 def write_mitsuba(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS, *,
                   views: Views) -> Export:
-    """Scene and material for Mitsuba 3; see :func:`write_scene` and :func:`write_material`."""
-    write_scene(folder, svbrdf, views)
-    write_material(folder, svbrdf.bsdf, settings.repeats)
+    """The scene for Mitsuba 3; see :func:`write_scene`."""
+    write_scene(folder, svbrdf, views, settings.repeats)
     slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), Needs(), stock=True)
     normals = {"normal": NORMALS["gl"]}
     textures = tuple(Texture(f"scene/{slot}.exr", HOLDS.get(slot, slot), LINEAR, 32, normals.get(slot))
                      for slot in slots)
-    return Export(("scene.xml", "bsdf.json"), textures, (LIGHT_NOTE,))
+    return Export(("scene.xml",), textures, (LIGHT_NOTE,))
 
 
-def _material(bsdf: Bsdf, **of_texture: object) -> dict:
-    """Plugin dictionary with the textures ``scene/SLOT.exr``, each with these entries too."""
+def _material(bsdf: Bsdf, repeats: bool) -> dict:
+    """Plugin dictionary with the textures ``scene/SLOT.exr``."""
     def texture(slot: str) -> dict:
         return {"type": "bitmap", "filename": f"scene/{slot}.exr", "raw": True, "filter_type": "nearest",
-                "wrap_mode": "clamp", **of_texture}
+                "wrap_mode": "repeat" if repeats else "clamp"}
 
     return plugin(bsdf, Needs(), texture, stock=True)
 

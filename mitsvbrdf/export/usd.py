@@ -1,9 +1,8 @@
-"""The material as USD text: ``UsdPreviewSurface`` and MaterialX's ``standard_surface``.
+"""The material as USD text: a ``UsdPreviewSurface``.
 
 ``material.usda`` is the material alone, to be referenced and bound; ``patch.usda`` is a square that wears it.
 
-Source: UsdPreviewSurface specification 2.6 (Pixar), metallic workflow; MaterialX in USD (UsdMtlx,
-``config:mtlx:version``).
+Source: UsdPreviewSurface specification 2.6 (Pixar), metallic workflow.
 """
 
 from __future__ import annotations
@@ -14,11 +13,11 @@ from pathlib import Path
 import torch
 
 from ..io import files, images
-from ..material.conversion import as_shown, layered, relative_f0, usual_f0
+from ..material.conversion import as_shown, layered, usual_f0
 from ..material.maps import COLOURS, DIELECTRIC_F0, SVBRDF
 from ..render.bsdf import index_from_f0
 from .residual import residual
-from .textures import DEFAULTS, LINEAR, SRGB, Export, ExportSettings, Texture, stored, write_texture
+from .textures import DEFAULTS, LINEAR, SRGB, Export, ExportSettings, Texture, write_texture
 
 MATERIAL, PATCH = "material.usda", "patch.usda"
 HIGHEST_F0 = 0.9  # of what is no metal: a refractive index of 38
@@ -26,18 +25,14 @@ LAYER_NOTE = ("the specular lobe takes its light from the diffuse one, ours is a
               "darker by F0, 4 %")
 NOTES = (
     "metallic workflow: importers (Blender 4.5, three.js) pass the specular one by; F0 of what is no metal "
-    "is grey, a texture of the refractive index, beside one index for all where a reader takes no texture; "
-    "the MaterialX shader has it in colour",
+    "is grey, a texture of the refractive index, beside one index for all where a reader takes no texture",
     "UsdPreviewSurface lets diffuse light through by what the specular lobe leaves, where ours is a sum: "
     "diffuseColor is diffuse / (1 - F0), the same seen from above",
     "its Fresnel curve is Schlick's, ours that of a real refractive index; F0 is the same",
     "colours have 8 bits: GPUs decode sRGB from 8 bits only",
 )
-PREVIEW = {"base_color": "color3f diffuseColor", "metallic": "float metallic", "roughness": "float roughness",
-           "normal": "normal3f normal", "ior": "float ior"}
-MTLX = {"base_color": "color3f base_color", "metallic": "float metalness",
-        "roughness": "float specular_roughness",
-        "normal": "float3 normal", "specular_color": "color3f specular_color"}
+INPUTS = {"base_color": "color3f diffuseColor", "metallic": "float metallic", "roughness": "float roughness",
+          "normal": "normal3f normal", "ior": "float ior"}
 
 # st = (0, 0) is the lower left corner of an image, so row 0 of it is the top of the patch.
 STAGE = '''#usda 1.0
@@ -77,7 +72,7 @@ def write_usd(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS)
     """Write ``folder/material.usda``, ``folder/patch.usda`` and ``folder/textures/*.png``."""
     material, textures, lost = svbrdf, {}, {}
     decoding = {"normal": ((2.0, 2.0, 2.0, 1.0), (-1.0, -1.0, -1.0, 0.0))}
-    usual, largest = DIELECTRIC_F0, 1.0
+    usual = DIELECTRIC_F0
     if svbrdf.bsdf == "roughconductor":
         f0, usual = svbrdf["specular"].mean(dim=-1, keepdim=True).clamp_max(HIGHEST_F0), usual_f0(svbrdf)
         material = layered(svbrdf, f0)
@@ -89,18 +84,13 @@ def write_usd(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS)
         decoding["ior"] = (most,) * 4, (1.0,) * 4
         images.write_png(folder / "textures/ior.png", beyond / most, 16)
         textures["ior"] = Texture("textures/ior.png", f"(refractive index - 1) / {most:.6g}", LINEAR, 16)
-        relative = relative_f0(svbrdf, usual)
-        largest = max(float(relative.max()), 1.0)  # a texture ends at 1, the factor beside it does not
-        images.write_png(folder / "textures/specular_color.png", stored("specular", relative / largest), 8)
-        holds = f"F0 over {usual:.6g}, divided by {largest:.6g}"
-        textures["specular_color"] = Texture("textures/specular_color.png", holds, SRGB, 8)
     else:
         glass = torch.full_like(svbrdf["metallic"], DIELECTRIC_F0)
         lost = {"base colour as it is": residual(svbrdf, as_shown(svbrdf, glass, glass))}
     for name, value in material.maps.items():
         textures[name] = write_texture(folder, f"textures/{name}.png", name, value, 8 if name in COLOURS
                                        else settings.bits)
-    text = _material(textures, float(index_from_f0(torch.tensor(usual))), decoding, largest, settings.repeats)
+    text = _material(textures, float(index_from_f0(torch.tensor(usual))), decoding, settings.repeats)
     alone = STAGE.format(prim="material", unit=1, content=text.format(at="/material"))
     half = (100 * settings.side if settings.side else 1.0) / 2
     worn = SQUARE.format(h=f"{half:.7g}", material=_indented(text.format(at="/patch/material")))
@@ -111,36 +101,22 @@ def write_usd(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS)
     return Export((MATERIAL, PATCH), tuple(textures.values()), notes, lost)
 
 
-def _material(textures: Mapping[str, Texture], index: float, decoding: Mapping[str, tuple], largest: float,
+def _material(textures: Mapping[str, Texture], index: float, decoding: Mapping[str, tuple],
               repeats: bool) -> str:
     """The material prim, its path as ``{at}``; ``index`` serves readers without a texture of it."""
-    surface, mtlx, nodes = [f"float inputs:ior = {index:.7g}"], [
-        f"float inputs:specular_IOR = {index:.7g}"], []
+    surface, nodes = [f"float inputs:ior = {index:.7g}"], []
     for name, texture in textures.items():
-        if name in PREVIEW:
-            kind, entry = PREVIEW[name].split()
-            channels = "rgb" if "3" in kind else "r"
-            surface.append(f"{kind} inputs:{entry}.connect = <{{at}}/{name}.outputs:{channels}>")
-            nodes.append(_uv_texture(name, texture, channels, decoding.get(name), repeats))
-        if name in MTLX:
-            kind, entry = MTLX[name].split()
-            scale = largest if name == "specular_color" else None
-            more, source = _mtlx_texture(f"mtlx_{name}", texture, kind, scale, repeats)
-            nodes += more
-            mtlx.append(f"{kind} inputs:{entry}.connect = <{{at}}/{source}.outputs:out>")
+        kind, entry = INPUTS[name].split()
+        channels = "rgb" if "3" in kind else "r"
+        surface.append(f"{kind} inputs:{entry}.connect = <{{at}}/{name}.outputs:{channels}>")
+        nodes.append(_uv_texture(name, texture, channels, decoding.get(name), repeats))
     shaders = [_shader("surface", "UsdPreviewSurface", "token outputs:surface",
                        "int inputs:useSpecularWorkflow = 0", *surface),
-               _shader("mtlx", "ND_standard_surface_surfaceshader", "token outputs:out",
-                       "float inputs:base = 1", *mtlx),
                _shader("st", "UsdPrimvarReader_float2", "float2 outputs:result",
                        'string inputs:varname = "st"'), *nodes]
-    return '''def Material "material" (
-    prepend apiSchemas = ["MaterialXConfigAPI"]
-)
+    return '''def Material "material"
 {{
-    uniform string config:mtlx:version = "1.39"
     token outputs:surface.connect = <{at}/surface.outputs:surface>
-    token outputs:mtlx:surface.connect = <{at}/mtlx.outputs:out>
 
 ''' + "\n".join(map(_indented, shaders)) + "}}\n"
 
@@ -154,26 +130,6 @@ def _uv_texture(name: str, texture: Texture, channels: str, decoding: tuple | No
         "float2 inputs:st.connect = <{at}/st.outputs:result>",
         f'token inputs:sourceColorSpace = "{"sRGB" if texture.colour_space == SRGB else "raw"}"',
         *(f'token inputs:wrap{axis} = "{"repeat" if repeats else "clamp"}"' for axis in "ST"), *numbers)
-
-
-def _mtlx_texture(name: str, texture: Texture, kind: str, largest: float | None,
-                  repeats: bool) -> tuple[list[str], str]:
-    """The image node and what decodes it, and the name of the last of them."""
-    node = {"color3f": "color3", "float3": "vector3", "float": "float"}[kind]
-    space = ' (\n        colorSpace = "srgb_texture"\n    )' if texture.colour_space == SRGB else ""
-    nodes = [_shader(
-        name, f"ND_image_{node}", f"{kind} outputs:out", f"asset inputs:file = @./{texture.file}@{space}",
-        *(f'string inputs:{axis}addressmode = "{"periodic" if repeats else "clamp"}"' for axis in "uv"))]
-    if texture.normal:
-        nodes.append(_shader(f"{name}map", "ND_normalmap_float", "float3 outputs:out",
-                             f"float3 inputs:in.connect = <{{at}}/{name}.outputs:out>"))
-        return nodes, f"{name}map"
-    if largest is not None:
-        nodes.append(_shader(f"{name}_scaled", "ND_multiply_color3FA", "color3f outputs:out",
-                             f"color3f inputs:in1.connect = <{{at}}/{name}.outputs:out>",
-                             f"float inputs:in2 = {largest:.7g}"))
-        return nodes, f"{name}_scaled"
-    return nodes, name
 
 
 def _shader(name: str, identifier: str, output: str, *inputs: str) -> str:

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import torch
 from helpers.exported import decoded, stated
-from helpers.variants import mostly_slow
 
 from mitsvbrdf.export import ExportSettings, export_material
 from mitsvbrdf.export.maps import FILE_NAMES
@@ -142,14 +141,6 @@ def test_directx_normals_are_opengl_normals_with_green_turned_around(tmp_path):
     assert wrong[above, 8:24].mean() < wrong[below, 8:24].mean() / 1.3
     turned = shown(found["dx"] * [1, -1, 1])
     assert (turned - right).abs().max() < 1e-4 * right.max()  # one step of 16 bits
-
-
-@pytest.mark.parametrize("naming, side, file", mostly_slow([
-    ("substance", 8, "brick_BaseColor.png"), ("polyhaven", 1024, "brick_diff_1k.png"),
-    ("ambientcg", 1024, "brick_1K_Color.png")], "substance"))
-def test_sizes_stand_in_names_where_libraries_have_them(naming, side, file, tmp_path):
-    export_material(flat(side), tmp_path, ["maps"], settings=ExportSettings("brick", naming))
-    assert (tmp_path / "maps" / file).is_file()
 
 
 def test_the_height_is_right_at_a_displacements_scale_of_1(tmp_path):
