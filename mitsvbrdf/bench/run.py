@@ -7,7 +7,7 @@ import functools
 import math
 import os
 import subprocess
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict, get_args, get_type_hints
@@ -19,8 +19,7 @@ from ..capture import Capture
 from ..errors import ConfigError, MitsvbrdfError
 from ..evaluate import as_fitted
 from ..evaluate.placement import predict
-from ..fit import DirectConfig, Fit, FitConfig, HierarchicalConfig, fit_svbrdf
-from ..fit.hierarchical.stages import DEADLINE
+from ..fit import DirectConfig, Fit, FitConfig, fit_svbrdf
 from ..fit.methods import METHODS
 from ..io import files
 from ..io.provenance import machine
@@ -35,8 +34,7 @@ class Record(TypedDict):
     """One fit: its key, and what came of it.
 
     ``seconds`` by the loop's clock, ``wall`` with the preparation before and the diagnosis after it;
-    ``errors`` as the task has them, none of a fit that failed, which ``why`` explains; ``same_as``: the
-    shorter budget that gave the same result, for the fit ended by itself.
+    ``errors`` as the task has them, none of a fit that failed, which ``why`` explains.
     """
 
     method: str
@@ -57,11 +55,10 @@ class Record(TypedDict):
     stopped: str
     why: str | None
     errors: dict[str, float]
-    same_as: NotRequired[float]
 
 
 BEGUN = b'{"method":'  # what every record begins with
-RESULTS = ("seconds", "wall", "iterations", "stopped", "why", "errors", "same_as")  # the others are the key
+RESULTS = ("seconds", "wall", "iterations", "stopped", "why", "errors")  # the others are the key
 
 
 @dataclass(frozen=True)
@@ -104,8 +101,7 @@ def run(methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequen
     """Do the fits whose records are missing; keep each record as soon as it is there.
 
     Methods take turns, so that drift of the machine hits all; the first seed is done before the next one, and
-    short budgets before long ones. A method without randomness has the first seed alone. A fit that would
-    repeat one of a shorter budget bit for bit is not done: its record is a copy that says so.
+    short budgets before long ones. A method without randomness has the first seed alone.
 
     Args:
         methods: settings by name; each fit sets budget and seed.
@@ -137,12 +133,9 @@ def run(methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequen
             report(f"{title} ({number + 1} of {len(missing)})", (number + share) / len(missing))
 
         tell(0.0)
-        record = _copied(key, found.values())
-        if record is None:
-            _warm_up(job, renderer, warm)
-            record = _fitted(job, key, renderer, tell)
-        append(path, record)
-        found[identity(key)] = record
+        _warm_up(job, renderer, warm)
+        found[identity(key)] = _fitted(job, key, renderer, tell)
+        append(path, found[identity(key)])
     return [found[identity(key)] for key in keys]
 
 
@@ -244,21 +237,6 @@ def _fitted(job: Job, key: dict, renderer: Renderer, tell: Callable[[float], Non
     last = result.trace[-1]
     return {**key, "seconds": last["seconds"], "wall": wall, "iterations": last["iteration"],
             "stopped": result.stopped, "why": None, "errors": errors}  # type: ignore[typeddict-item]
-
-
-def _copied(key: Mapping[str, Any], records: Iterable[Record]) -> Record | None:
-    """The record of a longer budget that gives the same bits: the default method ended by itself, before the
-    first of its deadlines.
-    """
-    if key["config"]["class"] != HierarchicalConfig.__name__:
-        return None
-    for record in sorted(records, key=lambda r: r["budget"]):
-        settled = (record["stopped"] == "settled"
-                   and record["seconds"] <= min(DEADLINE.values()) * record["budget"])
-        if (settled and record["budget"] < key["budget"]
-                and identity({**record, "budget": key["budget"]}) == identity(key)):
-            return {**record, "budget": key["budget"], "same_as": record["budget"]}
-    return None
 
 
 def _warm_up(job: Job, renderer: Renderer, warm: set[tuple]) -> None:

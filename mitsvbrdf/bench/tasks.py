@@ -217,22 +217,22 @@ def novel_light_rmse(svbrdf: SVBRDF, truth: SVBRDF, views: Views) -> float:
     return photo_rmse(found, to_display(exact))[0]
 
 
-def novel_views(views: Views, tilts: Sequence[float] = (25.0, 50.0), around: int = 4) -> Views:
+def novel_views(views: Views) -> Views:
     """Views from straight above with lights far off the lens, as no photo with a flash has them.
+
+    Four lights stand 25 degrees from the upright, and four 50 degrees, turned by half a step.
 
     Args:
         views: those of the photos; their mean height is the distance of camera and lights.
-        tilts: degrees between the lights and the upright; each further ring is turned by half a step.
-        around: lights of each tilt.
 
     Returns:
         Views in patch sides; an upright white diffuse texel below such a light has radiance 1.
     """
     height = float(views.in_patch_sides().camera[:, 2].mean())
     lights = []
-    for ring, tilt in enumerate(map(math.radians, tilts)):
-        for k in range(around):
-            turn = 2 * math.pi * (k + ring / 2) / around
+    for ring, tilt in enumerate((math.radians(25.0), math.radians(50.0))):
+        for k in range(4):
+            turn = 2 * math.pi * (k + ring / 2) / 4
             lights.append([height * math.sin(tilt) * math.cos(turn), height * math.sin(tilt) * math.sin(turn),
                            height * math.cos(tilt)])
     return Views.of([[0.0, 0.0, height]] * len(lights), lights, math.pi * height**2)

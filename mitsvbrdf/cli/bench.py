@@ -42,7 +42,7 @@ def bench(
     held_out: Annotated[str, arg(
         metavar="NUMBER,...", help="Photos of real captures to hold out; their error is measured.")] = "4,7",
     data: Annotated[Path | None, arg(
-        help="Folder with captures/, materials/ and peers.json. Default: MITSVBRDF_DATA.")] = None,
+        help="Folder with captures/ and materials/. Default: MITSVBRDF_DATA.")] = None,
     json_file: Annotated[Path, arg(
         name="json", help="File of the records, one JSON object a line. An existing file is continued.",
     )] = Path("out/bench.jsonl"),
@@ -55,12 +55,11 @@ def bench(
     """Measure error against run time: methods x materials and captures x budgets x seeds.
 
     Known materials are judged by their maps and by images under new light, real captures by photos that no
-    fit sees. The tables show the median over seeds, beside numbers published for the same material.
+    fit sees. The tables show the median over seeds.
 
     Each record is kept as soon as its fit is done: Ctrl-C loses one fit at most, and the same command
     continues. Nothing else should run meanwhile. docs/evaluation.md explains the errors.
     """
-    from ..bench.peers import published
     from ..bench.run import method_table, run
     from ..bench.table import judged
     from ..bench.tasks import data_folder, find_tasks
@@ -80,7 +79,6 @@ def bench(
     folder, engine = data_folder(data), make_renderer(renderer, variant)
     known, real = (None if chosen is None else _split(chosen) for chosen in (materials, captures))
     todo = find_tasks(known, real, folder, resolution, unseen, views, engine)
-    theirs = published(folder / "peers.json", todo) if folder else []
     try:
         with progress_bar("measuring") as report:
             chosen_methods = {name: every[name] for name in names}
@@ -88,7 +86,7 @@ def bench(
     except KeyboardInterrupt:
         say(f"interrupted: {json_file} has every fit that ended; the same command continues")
         return 130
-    groups = list(judged(records, theirs))
+    groups = list(judged(records))
     _print(groups)
     failed = [r for r in records if r["stopped"] == "failed"]
     for record in failed:

@@ -10,7 +10,7 @@ from mitsvbrdf.bench.run import identity, method_table, read_records, run, setti
 from mitsvbrdf.bench.tasks import known_material, real_capture
 from mitsvbrdf.capture import write_capture
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.fit import DirectConfig, HierarchicalConfig, HybridConfig
+from mitsvbrdf.fit import DirectConfig, HybridConfig
 from mitsvbrdf.fit.methods import METHODS
 from mitsvbrdf.material.made import make_material
 
@@ -70,21 +70,6 @@ def test_what_shapes_a_fit_is_part_of_its_key(change, task, tmp_path, monkeypatc
     other = known_material("builtin:tiles", 16, GRID, ANALYTIC) if change == "task" else task
     again = measured(other, path, {"hybrid": method}, [1], [3 if change == "seed" else 0])
     assert len(done) == 2 and len(again) == 1 and len(read_records(path)) == 2
-
-
-def test_a_fit_that_ended_by_itself_is_not_done_again_with_a_longer_budget(task, tmp_path, monkeypatch):
-    done = []
-
-    def settled(job, key, *_):
-        done.append(job.budget)
-        return {**key, "seconds": 5.0, "wall": 6.0, "iterations": 9, "stopped": "settled", "why": None,
-                "errors": {"mean": 0.5}}
-
-    monkeypatch.setattr(module, "_fitted", settled)
-    monkeypatch.setattr(module, "_warm_up", lambda *_: None)
-    records = measured(task, tmp_path / "b.jsonl", {"it": HierarchicalConfig()}, [300, 100, 10], [0])
-    assert done == [10, 100]  # 5 s of 10 is behind its first deadline, 5 s of 100 is not
-    assert [r["budget"] for r in records] == [10, 100, 300] and records[2]["same_as"] == 100
 
 
 def test_a_fit_that_cannot_be_done_is_a_result_that_says_why(task, tmp_path):

@@ -1,13 +1,9 @@
 """What is fitted, and what nobody's fit may see."""
 
-import json
-
 import pytest
 import torch
 from helpers import ANALYTIC, GRID, photos_of
 
-from mitsvbrdf.bench import peers
-from mitsvbrdf.bench.peers import published
 from mitsvbrdf.bench.tasks import find_tasks, known_material, novel_views, real_capture
 from mitsvbrdf.capture import write_capture
 from mitsvbrdf.errors import ConfigError
@@ -65,25 +61,3 @@ def test_new_lights_are_far_from_the_lens():
     upright = torch.nn.functional.normalize(views.camera.double(), dim=-1)
     angles = torch.rad2deg(torch.arccos((ray * upright).sum(-1)))
     assert torch.allclose(angles, torch.tensor([25.0] * 4 + [50.0] * 4, dtype=torch.float64), atol=1e-3)
-
-
-def test_published_numbers_stand_beside_what_saw_the_same_photos(data, tmp_path, monkeypatch):
-    path, per_view = tmp_path / "peers.json", [0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.3, 0.4]
-    maps = {"diffuse": 0.1, "specular": 0.2, "roughness": 0.3, "normal": 0.4}
-    path.write_text(json.dumps({
-        "materials": {"hide": {"materialgan": maps}, "inlay": {"materialgan": maps}},
-        "captures": {"wood": {"per_view": per_view, "left_out_7_8_rmse_256": {"gao2019": 0.2}}}}))
-    monkeypatch.setattr(peers, "PUBLISHED_SIDE", 16)
-    tasks = [known_material(str(data / "materials/hide"), 16, GRID, ANALYTIC),
-             known_material("builtin:inlay", 16, GRID, ANALYTIC),  # a made one of the same name is another
-             *(real_capture(data / "captures/wood", 16, held) for held in ((7, 8), (4, 7)))]
-    found = {(row["method"], tuple(row.get("held_out", ()))): row["errors"] for row in published(path, tasks)}
-    assert found["Gao 2019", (7, 8)] == {"held_out": 0.2} and ("Gao 2019", (4, 7)) not in found
-    assert found["MaterialGAN, which saw them", (7, 8)]["held_out"] == pytest.approx(0.125**0.5)
-    assert found["MaterialGAN", (7, 8)]["seen"] == pytest.approx((sum(e * e
-                                                                      for e in per_view[:7]) / 7) ** 0.5)
-    assert found["MaterialGAN", ()] == maps | {"mean": 0.25} and len(published(path, tasks)) == 6
-    assert published(path, [real_capture(data / "captures/wood", 8, (7, 8))]) == []  # another size
-    path.write_text('{"materials": {}, "captures": {"wood": {}}}')
-    with pytest.raises(ConfigError, match="peers.json"):
-        published(path, tasks)
