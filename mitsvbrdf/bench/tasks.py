@@ -62,7 +62,12 @@ class KnownMaterial:
             predict: what it predicts for photos.
         """
         maps = map_rmse(svbrdf, self.truth) if self.folder is None else evaluate_maps(svbrdf, self.folder)
-        novel = novel_light_rmse(svbrdf, self.truth, self.photos.views)
+        size = min(svbrdf.resolution, self.truth.resolution)
+        renderer, lit = make_renderer("analytic"), novel_views(self.photos.views)
+        with torch.no_grad():
+            found, exact = (renderer.render(each.as_roughconductor().resized(size), lit)
+                            for each in (svbrdf, self.truth))
+        novel = photo_rmse(found, to_display(exact))[0]
         return maps | {"novel_light": novel, "photos": predict(self.photos)}
 
 
@@ -200,21 +205,6 @@ def data_folder(folder: Path | None = None) -> Path | None:
         raise ConfigError("a folder with captures/ or materials/", str(named),
                           "check --data and MITSVBRDF_DATA")
     return named
-
-
-def novel_light_rmse(svbrdf: SVBRDF, truth: SVBRDF, views: Views) -> float:
-    """How different two materials look under :func:`novel_views`: RMSE in display values.
-
-    Args:
-        svbrdf: the estimate.
-        truth: the known material; the larger of both is area-averaged to the smaller.
-        views: those of the photos.
-    """
-    size = min(svbrdf.resolution, truth.resolution)
-    renderer, lit = make_renderer("analytic"), novel_views(views)
-    with torch.no_grad():
-        found, exact = (renderer.render(m.as_roughconductor().resized(size), lit) for m in (svbrdf, truth))
-    return photo_rmse(found, to_display(exact))[0]
 
 
 def novel_views(views: Views) -> Views:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
 
 import torch
@@ -36,7 +35,6 @@ LARGEST_MAP = 512  # pixels a side on the page
 EXACT_MAP = 256 * 1024
 LARGEST_PHOTO, SMALLEST_PHOTO, PHOTOS_WIDE = 512, 96, 768  # nine photos get 256 px, a hundred 96
 FORMER = "left_out", "left_out_rmse"  # keys of report.json of version 1.0
-ROWS = 200  # of the table of measurements
 # how far the error of a photo may be from what fit.json says; the same photos agree to float32, 1e-7
 SAME_PHOTO = 1e-4
 
@@ -161,7 +159,7 @@ def _write_page(found: Fit, record: dict, into: Path) -> None:
                title=f"{material_name(found)}: recovered material",
                maps=_maps(found), front=header(found, record["quick"]), viewer=viewer_html(found.svbrdf),
                photos=[_photo(photo, side, found, into, found.path) for photo in record["photos"]],
-               curves=error_and_losses(fit["trace"]), measured=_thinned(fit["trace"]),
+               curves=error_and_losses(fit["trace"]),
                ramp=picture_uri(magma(torch.linspace(0, 1, 256).expand(8, 256))), unknown=UNKNOWN,
                titles=TITLES, detail=write_detail_page(found, into), scalar=_scalar,
                from_where=about_views(fit.get("calibration") or {}))
@@ -213,12 +211,6 @@ def _photo(photo: dict, side: int, found: Fit, *folders: Path) -> dict:
         pictures |= {"photo": picture_uri(at_most(seen, side)),
                      "difference": picture_uri(at_most(4 * (seen - rendered).abs(), side))}
     return photo | {"pictures": pictures, "side": min(side, rendered.shape[0])}
-
-
-def _thinned(trace: Sequence[Mapping]) -> list[Mapping]:
-    """At most 201 rows of a trace, the last among them."""
-    rows = list(trace[::max(1, math.ceil(len(trace) / ROWS))])
-    return rows if not rows or rows[-1] is trace[-1] else [*rows, trace[-1]]
 
 
 def _scalar(value: object) -> str:

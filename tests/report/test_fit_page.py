@@ -72,10 +72,6 @@ def test_every_number_of_the_records_is_on_the_page(measured):
             assert f"{key} {text}" in page.text, key
     for name, camera, light in zip(fit["per_photo"], fit["views"]["camera"], fit["views"]["light"]):
         assert page.row(name)[:6] == [figure(x) for x in camera + light]
-    for entry in fit["trace"]:
-        start = [figure(entry["seconds"]), figure(entry["iteration"])]
-        assert any(row[:2] == start and all(figure(value) in row for value in entry.values())
-                   for row in page.rows)
     numbers = record["condition"]
     median, worst = ("infinite" if numbers[name] is None else figure(numbers[name])
                      for name in ("median", "worst"))
@@ -146,7 +142,7 @@ def test_what_the_page_says_is_true_of_plain_photos_smooth_maps_and_held_ones(ph
     assert "Guessed diffuse" not in page.pictures and "no libLLVM in use" in page.text
 
 
-def test_the_stage_of_a_fit_is_no_loss_and_long_tables_are_thinned(copy):
+def test_the_stage_of_a_fit_is_no_loss(copy):
     record = json.loads((copy / "fit.json").read_text())
     record["trace"] = [{"seconds": float(k), "iteration": k, "stage": 2.0, "rerender_rmse": 0.1}
                        for k in range(399)]
@@ -155,8 +151,7 @@ def test_the_stage_of_a_fit_is_no_loss_and_long_tables_are_thinned(copy):
     write_report(copy, quick=True)
     page = Page(copy / "report.html")
     assert "Nothing: this fit needed every part." in page.text
-    assert "The measurements, some of 399" in page.text and 'aria-label="Losses' not in page.source
-    assert len([row for row in page.rows if len(row) == 4 and row[2] == "2"]) == 200
+    assert 'aria-label="Losses' not in page.source
 
 
 def test_a_page_of_noise_at_512_px_is_below_twelve_megabytes(copy):
