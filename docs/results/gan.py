@@ -33,7 +33,7 @@ VARIANTS = {
     "no growing": {"grow": False},
     "one picture a step": {"pictures": 1}, "no head start": {"head_start": 0.0},
     "no smoothness": {"smooth": 0.0},
-    "no falling step sizes": {"decay": False}, "with average": {"average": 0.99},
+    "no falling step sizes": {"decay": False},
     "one specular level": {"grey_specular": True}, "no flash offset": {"flash_offset": False},
 }
 

@@ -15,8 +15,9 @@ FIT = {"--own": "--detail-spread", "--tails": "--highlight-reach", "--likeness":
        "--no-rivals": "--no-multi-start", "--finish": "--detail", "--finish-steps": "--detail-steps"}
 RENAMED: dict[str, dict[str, str]] = {"fit": FIT, "batch": FIT, "bench": {"--left-out": "--held-out"},}
 # Options that are gone, and why.
-NO_GAIN = "it gained nothing on any material (docs/results/lab-notes.md); leave it out"
-GAN = dict.fromkeys(("--guessed-normal", "--highlight-aware", "--kl"), NO_GAIN)
+NO_GAIN = "it gained nothing on any material (docs/results/{}.md); leave it out"
+GAN = (dict.fromkeys(("--guessed-normal", "--highlight-aware", "--kl"), NO_GAIN.format("lab-notes"))
+       | dict.fromkeys(("--average", "--fresh-pictures"), NO_GAIN.format("gan")))
 GONE: dict[str, dict[str, str]] = {"fit": GAN, "batch": GAN}
 
 

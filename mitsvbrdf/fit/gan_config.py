@@ -20,15 +20,15 @@ GeneratorKind = Literal["all-photos", "two-stream"]
 _PAPER: dict[str, Any] = {
     "guess": "min", "grey_specular": True, "generator": "two-stream", "start": False, "width": 64,
     "learning_rate": 2e-5, "head_start": 0.0, "decay": False, "normal_roughness_steps": 5,
-    "fresh_pictures": False, "pictures": 1, "discriminator_rate": 2e-5, "game": "bce", "level": False,
-    "angles": False, "paired": False, "clipping": False, "grow": False, "average": 0.0, "adversarial": 1.0,
-    "features": 0.0, "diffuse": 10.0, "smooth": 0.0, "flash_offset": False}
+    "pictures": 1, "discriminator_rate": 2e-5, "game": "bce", "level": False, "angles": False,
+    "paired": False, "clipping": False, "grow": False, "adversarial": 1.0, "features": 0.0, "diffuse": 10.0,
+    "smooth": 0.0, "flash_offset": False}
 _MINUTES: dict[str, Any] = {
     "guess": "robust", "grey_specular": False, "generator": "all-photos", "start": True, "width": 16,
     "learning_rate": 2e-3, "head_start": 0.1, "decay": True, "normal_roughness_steps": 1,
-    "fresh_pictures": False, "pictures": 6, "discriminator_rate": 1e-3, "game": "relativistic",
-    "level": True, "angles": True, "paired": True, "clipping": True, "grow": True, "average": 0.0,
-    "adversarial": 1.0, "features": 10.0, "diffuse": 5.0, "smooth": 1.0, "flash_offset": True}
+    "pictures": 6, "discriminator_rate": 1e-3, "game": "relativistic", "level": True, "angles": True,
+    "paired": True, "clipping": True, "grow": True, "adversarial": 1.0, "features": 10.0, "diffuse": 5.0,
+    "smooth": 1.0, "flash_offset": True}
 PRESETS: dict[str, dict[str, Any]] = {
     "minutes": _MINUTES, "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
 
@@ -84,8 +84,6 @@ class GanConfig(FitConfig):
     """Step sizes fall along a cosine to 2 % in each phase."""
     normal_roughness_steps: int = AS_PRESET
     """Gradient steps of the normal/roughness decoder per step of the diffuse/specular decoder (III.F)."""
-    fresh_pictures: Switch = AS_PRESET
-    """Each of these steps draws another photo or blend."""
     pictures: int = AS_PRESET
     """Photos or blends compared in one step."""
     crop: int = 0
@@ -104,8 +102,6 @@ class GanConfig(FitConfig):
     """Clip a rendering only where its photo is clipped. Off: everywhere, which stops gradients."""
     grow: Switch = AS_PRESET
     """Train at a quarter and half the resolution first."""
-    average: float = AS_PRESET
-    """Decay of the running average of the generator's weights. 0: the weights themselves."""
     precision: Precision = "auto"
     """Numbers of the networks; renderer and losses use float32. auto: bfloat16 where it measures faster."""
     adversarial: float = AS_PRESET
@@ -153,9 +149,6 @@ class GanConfig(FitConfig):
         if self.normal_roughness_steps > 1 and self.generator != "two-stream":
             raise ConfigError("--generator two-stream with several steps of one decoder",
                               f"--generator {self.generator}", "leave --normal-roughness-steps at 1")
-        if self.average >= 1:
-            raise ConfigError("average below 1", str(self.average),
-                              "0.99 averages over some 100 steps; 0 does not average")
         if self.head_start > 1:
             raise ConfigError("a head start of 0 to 1", str(self.head_start),
                               "0.1 is a tenth of it; 0 gives none")

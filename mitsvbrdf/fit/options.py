@@ -20,7 +20,8 @@ PREDICTED = 9  # held-out photos that the page of a fit shows at once; `report -
 
 FORMER = {"own": "detail_spread", "tails": "highlight_reach", "likeness": "similarity",
           "independent": "remove_burn_in", "integrated": "marginalise", "rivals": "multi_start"}
-GONE = ("guessed_normal", "highlight_aware", "kl")  # settings of earlier fits; their fit.json is still read
+# settings of earlier fits, whose fit.json is still read
+GONE = ("guessed_normal", "highlight_aware", "kl", "average", "fresh_pictures")
 
 
 @dataclass(frozen=True)

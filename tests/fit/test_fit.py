@@ -39,10 +39,9 @@ SMALL = {"hybrid": HybridConfig(width=8), "direct": DirectConfig(), "gan": GanCo
 # Of 64 px there are two phases; the second begins at iteration 10 of 24, the checkpoint is from iteration 5
 # or 13.
 RESUMED = {name: (config, 32, 13) for name, config in SMALL.items()} | {
-    "gan, averaged, bfloat16": (GanConfig(width=4, pictures=2, average=0.9, precision="bfloat16"), 64, 13),
-    "gan, before it grows": (GanConfig(width=4, pictures=2, average=0.9), 64, 5),
-    "gan, crops": (GanConfig(width=4, crop=16, features=1.0, paired=True, precision="float32"), 32, 13),
-    "gan, five fresh steps": (GanConfig(width=4, preset="paper-one-stage", fresh_pictures=True), 32, 13)}
+    "gan, bfloat16": (GanConfig(width=4, pictures=2, precision="bfloat16"), 64, 13),
+    "gan, before it grows": (GanConfig(width=4, pictures=2), 64, 5),
+    "gan, crops": (GanConfig(width=4, crop=16, features=1.0, paired=True, precision="float32"), 32, 13)}
 
 
 def with_limits(config, **limits):
@@ -267,7 +266,7 @@ def test_presets_are_the_papers():
         assert not paper.flash_offset
         assert (paper.head_start, paper.smooth, paper.adversarial) == (0, 0, 1)
         assert not any((paper.start, paper.decay, paper.level, paper.angles, paper.paired, paper.clipping,
-                        paper.grow, paper.average, paper.features, paper.crop))
+                        paper.grow, paper.features, paper.crop))
     assert [(round(p.share, 9), p.photos) for p in two.phases(256)] == [(0.4, 1), (0.6, None)]
     assert GanConfig(preset="paper-one-stage", width=8).width == 8  # what is given stays
 
@@ -276,7 +275,7 @@ def test_presets_are_the_papers():
     ({"game": "rpgan"}, "relativistic"), ({"generator": "unet"}, "two-stream"),
     ({"precision": "bf16"}, "bfloat16"),
     ({"adversarial": 0.0, "features": 0.0, "diffuse": 0.0, "smooth": 0.0}, "a loss"),
-    ({"head_start": 1.5}, "head start"), ({"average": 1.0}, "average below 1"), ({"crop": 4}, "crop of 16"),
+    ({"head_start": 1.5}, "head start"), ({"crop": 4}, "crop of 16"),
     ({"normal_roughness_steps": 5}, "two-stream"), ({"pictures": 0}, "pictures > 0"),
     ({"preset": "paper-two-stage", "generator": "all-photos", "normal_roughness_steps": 1},
      "--generator two-stream"), ({"preset": "paper-two-stage", "grow": True}, "growing")])

@@ -1,29 +1,25 @@
-"""The generator that the settings ask for, and the material it starts from."""
+"""The generator that the settings ask for."""
 
 from __future__ import annotations
 
 from torch import nn
 
 from ...errors import ConfigError
-from ...material.maps import SVBRDF
 from ..checkpoint import load_module_state, load_tensors, part
 from ..gan_config import GanConfig
 from ..parameters import Streams
-from ..start import robust_start
-from ..task import FitTask
-from .conditioning import condition_channels
 from .networks import AllPhotosGenerator, TwoStreamGenerator, seeded
 
 Generator = AllPhotosGenerator | TwoStreamGenerator
 
 
-def make_generator(config: GanConfig, streams: Streams, photos: int) -> Generator:
+def make_generator(config: GanConfig, streams: Streams, inputs: int) -> Generator:
     """A generator with the weights of its seed, or of the pretrained checkpoint.
 
     Args:
         config: its kind and size.
         streams: the channels of the maps to fit.
-        photos: how many the capture has.
+        inputs: channels of the conditioning image, for a generator of all photos.
 
     Raises:
         ConfigError: the pretrained checkpoint is of another size or kind.
@@ -33,16 +29,10 @@ def make_generator(config: GanConfig, streams: Streams, photos: int) -> Generato
         if config.generator == "two-stream":
             generator = TwoStreamGenerator(streams, config.width, config.start)
         else:
-            generator = AllPhotosGenerator(condition_channels(photos), streams, config.width, config.start)
+            generator = AllPhotosGenerator(inputs, streams, config.width, config.start)
     if config.pretrained:
         load_generator(generator, config, config.pretrained)
     return generator
-
-
-def starting_material(task: FitTask[GanConfig]) -> SVBRDF | None:
-    """What the generator's maps are a change to; None where it starts untrained."""
-    config = task.config
-    return robust_start(task.capture, task.guess, config.bsdf, task.fixed) if config.start else None
 
 
 def load_generator(generator: nn.Module, config: GanConfig, path: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -12,6 +13,7 @@ from ...capture import Capture
 from ...color import CLIPPED
 from ...material.maps import SVBRDF
 from ...material.resample import area_averaged, enlarged
+from ...views import Views
 from ..gan_config import GanConfig
 from ..parameters import Streams, before_tanh, to_raw
 from ..task import FitTask
@@ -40,12 +42,6 @@ class Conditioning:
                       else {})
         self.carried = {name: enlarged(value, resolution) for name, value in carried.items()}
         self.condition = condition_of(self.capture, self.guess)
-
-    def condition_from(self, photo: int) -> Tensor:
-        """Input of a generator of all photos; this photo comes first, then the others in their order."""
-        numbers = self.capture.index
-        return (condition_of(self.capture.pick((*numbers[photo:], *numbers[:photo])), self.guess) if photo
-                else self.condition)
 
     def units(self, change: Mapping[str, Tensor], window: Window | None = None) -> dict[str, Tensor]:
         """Maps in (-1, 1), C x R x R: Tanh of start, what was carried, and this change.
@@ -80,9 +76,17 @@ def condition_of(capture: Capture, guess: Tensor) -> Tensor:
     return torch.cat((photos.flatten(0, 1), clipped, color.encode(guess).permute(2, 0, 1)))[None] * 2 - 1
 
 
-def condition_channels(photos: int) -> int:
-    """Channels of :func:`condition_of` for so many photos."""
-    return 4 * photos + 3
+def level(change: dict[str, Tensor]) -> dict[str, Tensor]:
+    """A change without a common tilt, which would hide the flash offset: the patch lies flat in z = 0."""
+    if "normal" not in change:
+        return change
+    return change | {"normal": change["normal"] - change["normal"].mean(dim=(1, 2), keepdim=True)}
+
+
+def with_flash_at(views: Views, offset: Tensor) -> Views:
+    """The views with all lights moved sideways by x and y in patch sides; the offset may carry gradients."""
+    whole = torch.cat((offset, torch.zeros(1, dtype=torch.float64))) * views.size
+    return replace(views, light=views.light + whole)
 
 
 def _cut(value: Tensor, window: Window) -> Tensor:

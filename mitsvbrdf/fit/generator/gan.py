@@ -11,8 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
@@ -26,12 +25,12 @@ from ..checkpoint import load_module_state, load_optimizer_state, module_state, 
 from ..gan_config import GanConfig, Phase
 from ..method import Method, cosine, descend
 from ..parameters import from_units, streams_of
+from ..start import robust_start
 from ..task import FitTask
-from .build import make_generator, starting_material
-from .conditioning import Conditioning
-from .networks import PatchDiscriminator, TwoStreamGenerator, frozen, seeded
+from .build import make_generator
+from .conditioning import Conditioning, level, with_flash_at
+from .networks import PatchDiscriminator, TwoStreamGenerator, frozen, is_faster_in_bfloat16, seeded
 from .pictures import Pictures, PictureSource, seen_through
-from .precision import is_faster_in_bfloat16
 
 FIRST_STEP = 0.02  # of the step size, at the least, while it rises: no step moves nothing
 
@@ -51,17 +50,18 @@ class Gan(Method[GanConfig]):
         config = self.config
         self.task = task
         self.streams = streams_of(config.bsdf, self.fixed, config.grey_specular)
-        self.start = starting_material(task)
+        self.start = (robust_start(task.capture, task.guess, config.bsdf, self.fixed) if config.start
+                      else None)
         self.random = torch.Generator().manual_seed(config.seed)
         self.bfloat16 = (config.precision == "bfloat16"
                          or config.precision == "auto" and is_faster_in_bfloat16())
-        self.generator = make_generator(config, self.streams, len(self.capture))
         # features and maps of what later substeps do not move
         self.resting: tuple[Tensor, dict[str, Tensor]] | None = None
         self.cut = 1.0  # of all step sizes, after steps that were undone
         self.offset = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # of the flash, in patch sides
         self.phases = config.phases(self.capture.resolution)
         self.whole = self._scale(Phase(1.0), {})  # the result is of this size
+        self.generator = make_generator(config, self.streams, self.whole.condition.shape[1])
         self._begin(0, {})
 
     def _rate(self, name: str, share: float = 0.0) -> float:
@@ -96,8 +96,6 @@ class Gan(Method[GanConfig]):
             groups["flash"] = [self.offset]
         self.optimizers = {name: torch.optim.Adam(some, lr=self._rate(name), betas=(0.5, 0.999), fused=True)
                            for name, some in groups.items() if some}
-        self.averaged = ({name: value.detach().clone() for name, value in g.state_dict().items()}
-                         if config.average else {})
 
     def step(self, progress: float) -> dict[str, float]:
         """One step of the discriminator, then of the generator; its normal/roughness decoder may repeat."""
@@ -107,12 +105,9 @@ class Gan(Method[GanConfig]):
         logged: dict[str, float] = {}
         pictures = self.source.draw(self.config.pictures, self.random)
         for substep in range(self.config.normal_roughness_steps if "fast" in self.optimizers else 1):
-            if substep and self.config.fresh_pictures:
-                pictures = self.source.draw(self.config.pictures, self.random)
-            if substep < 2 or self.config.fresh_pictures:
+            if substep < 2:
                 self.resting = None  # the first substep moves the encoder
             self._substep(pictures, substep == 0, logged)
-        self._average()
         return logged | {"phase": float(self.phase)}
 
     def _enter_phase(self, progress: float) -> float:
@@ -121,8 +116,7 @@ class Gan(Method[GanConfig]):
         present = max(number for number, begin in enumerate(begins) if progress >= begin)
         if present > self.phase:
             grown = self.phases[present].halvings != self.phases[self.phase].halvings
-            with self._averaged_weights():
-                change = self._change() if grown and self.config.start else {}
+            change = self._change() if grown and self.config.start else {}
             if change:
                 self.generator.begin_change()
             self._begin(present, change)
@@ -162,7 +156,7 @@ class Gan(Method[GanConfig]):
     def _material(self, pictures: Pictures, first: bool = True) -> SVBRDF:
         """The maps proposed; of a later substep only normal and roughness carry gradients."""
         with profiled("network"):
-            change = self._out(self.scale, pictures, first)
+            change = self._out(pictures, first)
             switch_at("network, backward", *change.values())
         with profiled("hand-over"):
             units, fixed = self.scale.units(change, pictures.window), self.scale.fixed_in(pictures.window)
@@ -170,9 +164,8 @@ class Gan(Method[GanConfig]):
             switch_at("hand-over, backward", *svbrdf.maps.values())
         return svbrdf
 
-    def _out(self, scale: Conditioning, pictures: Pictures, first: bool = True,
-             photo: int = 0) -> dict[str, Tensor]:
-        """Output of the generator before Tanh, in the window of the pictures; ``photo`` comes first."""
+    def _out(self, pictures: Pictures, first: bool = True) -> dict[str, Tensor]:
+        """Output of the generator before Tanh, in the window of the pictures."""
         g, (top, left, side) = self.generator, pictures.window
         with self._networks():
             if isinstance(g, TwoStreamGenerator):
@@ -182,13 +175,9 @@ class Gan(Method[GanConfig]):
                         self.resting = code, g.decode(1, code, side)
                 out = g.decode(0, self.resting[0], side) | self.resting[1]
             else:
-                out = g(scale.condition_from(photo)[..., top:top + side, left:left + side])
+                out = g(self.scale.condition[..., top:top + side, left:left + side])
         out = {name: value.float() for name, value in out.items()}
-        if self.fits_offset and "normal" in out:
-            # The patch is flat as a whole (it lies in z = 0): without this a common tilt would hide the flash
-            # offset.
-            out["normal"] = out["normal"] - out["normal"].mean(dim=(1, 2), keepdim=True)
-        return out
+        return level(out) if self.fits_offset else out
 
     def _rendered(self, svbrdf: SVBRDF, pictures: Pictures) -> Tensor:
         with profiled("renderer"):
@@ -222,59 +211,33 @@ class Gan(Method[GanConfig]):
         return torch.autocast("cpu", torch.bfloat16) if self.bfloat16 else contextlib.nullcontext()
 
     def _views(self) -> Views:
-        if not self.fits_offset:
-            return self.views
-        offset = torch.cat((self.offset, torch.zeros(1, dtype=torch.float64))) * self.views.size
-        return replace(self.views, light=self.views.light + offset)
-
-    def _average(self) -> None:
-        for name, value in self.generator.state_dict().items() if self.averaged else ():
-            self.averaged[name].lerp_(value, 1 - self.config.average)
+        return with_flash_at(self.views, self.offset) if self.fits_offset else self.views
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The maps generated from the first photo or from all, at full size, and the fitted views."""
         with torch.no_grad():
-            return self.maps_from(0), self._views()
-
-    def maps_from(self, photo: int) -> SVBRDF:
-        """The maps generated at full size from this photo, or from all with this one in the first place."""
-        with torch.no_grad(), self._averaged_weights():
             change = {name: enlarged(value, self.capture.resolution)
-                      for name, value in self._change(photo).items()}
-            return from_units(self.config.bsdf, self.whole.units(change), self.fixed).map(Tensor.contiguous)
+                      for name, value in self._change().items()}
+            maps = from_units(self.config.bsdf, self.whole.units(change), self.fixed)
+            return maps.map(Tensor.contiguous), self._views()
 
-    def _change(self, photo: int = 0) -> dict[str, Tensor]:
+    def _change(self) -> dict[str, Tensor]:
         """What the generator adds to the start now, before Tanh, at the resolution of the phase."""
-        pictures = self.source.whole(photo)
         with torch.no_grad():
-            out = self._out(self.scale, pictures, photo=photo)
+            out = self._out(self.source.whole())
             return {name: value + self.scale.carried[name] if self.scale.carried else value
                     for name, value in out.items()}
-
-    @contextlib.contextmanager
-    def _averaged_weights(self) -> Iterator[None]:
-        """The generator with the running average of its weights, where one is kept."""
-        if not self.averaged:
-            yield
-            return
-        own = {name: value.clone() for name, value in self.generator.state_dict().items()}
-        self.generator.load_state_dict(self.averaged)
-        try:
-            yield
-        finally:
-            self.generator.load_state_dict(own)
 
     def cut_step(self) -> None:
         """Halve the step size of all optimisers."""
         self.cut /= 2
 
     def state(self) -> dict[str, Tensor]:
-        """Phase, step sizes, random numbers, and weights and averages of the networks."""
+        """Phase, step sizes, random numbers, and weights of the networks."""
         state = {"random": self.random.get_state(), "phase": torch.tensor(self.phase),
                  "offset": self.offset.detach().clone(),
                  "cut": torch.tensor(self.cut, dtype=torch.float64), "bfloat16": torch.tensor(self.bfloat16)}
         state |= {f"carried.{name}": value for name, value in self.scale.carried.items()}
-        state |= {f"averaged{name}": value.clone() for name, value in self.averaged.items()}
         for name in ("generator", "discriminator"):
             state |= module_state(name, getattr(self, name))
         for name, optimizer in self.optimizers.items():
@@ -292,4 +255,3 @@ class Gan(Method[GanConfig]):
             load_module_state(name, getattr(self, name), state)
         for name, optimizer in self.optimizers.items():
             load_optimizer_state(name, optimizer, state)
-        self.averaged = {name: state[f"averaged{name}"].clone() for name in self.averaged}

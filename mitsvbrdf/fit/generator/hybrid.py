@@ -9,7 +9,6 @@ image prior).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 from typing import Any
 
 import torch
@@ -27,7 +26,7 @@ from ..method import Method, cosine, descend
 from ..parameters import streams_of, to_raw, to_svbrdf
 from ..start import robust_start
 from ..task import FitTask
-from .conditioning import condition_of
+from .conditioning import condition_of, level, with_flash_at
 from .networks import AllPhotosGenerator, PatchDiscriminator, seeded
 
 PATCH = 128  # side of the crops the discriminator compares
@@ -104,11 +103,7 @@ class Hybrid(Method[HybridConfig]):
             return self._material().map(Tensor.contiguous), self._views()
 
     def _material(self) -> SVBRDF:
-        change = self.generator(self.condition)
-        # The patch is flat as a whole (it lies in z = 0): without this a common tilt would hide the flash
-        # offset.
-        if "normal" in change:
-            change["normal"] = change["normal"] - change["normal"].mean(dim=(1, 2), keepdim=True)
+        change = level(self.generator(self.condition))
         switch_at("network, backward", *change.values())
         with profiled("hand-over"):
             svbrdf = to_svbrdf(self.config.bsdf,
@@ -117,10 +112,7 @@ class Hybrid(Method[HybridConfig]):
         return svbrdf
 
     def _views(self) -> Views:
-        if not self.fits_offset:
-            return self.views
-        offset = torch.cat((self.offset, torch.zeros(1, dtype=torch.float64))) * self.views.size
-        return replace(self.views, light=self.views.light + offset)
+        return with_flash_at(self.views, self.offset) if self.fits_offset else self.views
 
     def _patches(self, rendered: Tensor) -> tuple[Tensor, Tensor]:
         side = min(PATCH, self.capture.resolution)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 from collections.abc import Iterable, Iterator
 
 import torch
@@ -10,10 +11,13 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from ...io.signals import PROCESS
+from ...io.timing import side_by_side
 from .. import losses
 from ..losses import Game
 from ..method import descend
 from ..parameters import STREAMS, Streams
+
+WORTH = 1.2  # times as fast, at least, that bfloat16 has to be for what the numbers lose
 
 
 @contextlib.contextmanager
@@ -73,17 +77,12 @@ class TwoStreamGenerator(nn.Module):
                 block(nn.ConvTranspose2d(4 * w, 2 * w, 4, stride=2, padding=1)),
                 nn.ConvTranspose2d(2 * w, channels, 4, stride=2, padding=1)]
 
-    def forward(self, photo: Tensor) -> dict[str, Tensor]:
-        """Unbounded maps by name, before Tanh, each C x R x R, of a photo 1 x 3 x R x R in display values."""
-        code, size = self.encode(photo), photo.shape[-1]
-        return self.decode(0, code, size) | self.decode(1, code, size)
-
     def encode(self, photo: Tensor) -> Tensor:
-        """The features both decoders start from."""
+        """The features both decoders start from, of a photo 1 x 3 x R x R in display values."""
         return self.encoder(pad_to_multiple(photo * 2 - 1, 8))
 
     def decode(self, stream: int, code: Tensor, size: int) -> dict[str, Tensor]:
-        """The maps of one stream (0: normal and roughness, 1: diffuse and specular), cut to ``size``."""
+        """Unbounded maps of one stream (0: normal and roughness, 1: the others), C x size x size, by name."""
         decoder = (self.normal_roughness, self.diffuse_specular)[stream]
         if decoder is None:
             return {}
@@ -92,7 +91,9 @@ class TwoStreamGenerator(nn.Module):
 
 
 class PatchDiscriminator(nn.Module):
-    """The paper's discriminator (III.D): 5 convolutions, four with instance norm and leaky ReLU; Sigmoid.
+    """The paper's discriminator (III.D): 5 convolutions, four with instance norm and leaky ReLU.
+
+    Its Sigmoid is part of the losses (:func:`mitsvbrdf.fit.losses.discriminator`).
 
     Args:
         width: channels of the first convolution.
@@ -107,10 +108,6 @@ class PatchDiscriminator(nn.Module):
             block(nn.Conv2d(w, 2 * w, 4, stride=2, padding=1)),
             block(nn.Conv2d(2 * w, 4 * w, 4, stride=2, padding=1)),
             block(nn.Conv2d(4 * w, 8 * w, 3, padding=1)), nn.Conv2d(8 * w, 1, 3, padding=1)])
-
-    def forward(self, image: Tensor) -> Tensor:
-        """Probability that a patch is a photo, N x 1 x r x r, of images N x 3 x R x R in display values."""
-        return torch.sigmoid(self.activations(image)[-1])
 
     def activations(self, image: Tensor, told: Tensor | None = None) -> list[Tensor]:
         """What each layer puts out; the last are the logits of the patches.
@@ -172,12 +169,8 @@ class AllPhotosGenerator(nn.Module):
 
     def forward(self, condition: Tensor) -> dict[str, Tensor]:
         """Changes by name, each C x R x R, for a conditioning image 1 x inputs x R x R."""
-        return {name: change[0] for name, change in self.changes(condition).items()}
-
-    def changes(self, conditions: Tensor) -> dict[str, Tensor]:
-        """Changes by name, each N x C x R x R, for conditioning images N x inputs x R x R."""
-        size = conditions.shape[-1]
-        levels = [pad_to_multiple(conditions, 16)]
+        size = condition.shape[-1]
+        levels = [pad_to_multiple(condition, 16)]
         for layer in self.down:
             levels.append(layer(levels[-1]))
         out: dict[str, Tensor] = {}
@@ -185,8 +178,8 @@ class AllPhotosGenerator(nn.Module):
             x, (*layers, last) = levels[-1], decoder.children()
             for layer, skip in zip(layers, levels[-2:0:-1]):
                 x = layer(torch.cat((F.interpolate(x, scale_factor=2.0, mode="nearest"), skip), dim=1))
-            maps = last(x)[:, :, :size, :size]
-            out |= dict(zip(stream, maps.split(list(stream.values()), dim=1)))
+            maps = last(x)[0, :, :size, :size]
+            out |= dict(zip(stream, maps.split(list(stream.values()))))
         return out
 
 
@@ -206,10 +199,26 @@ def pad_to_multiple(image: Tensor, factor: int) -> Tensor:
 @contextlib.contextmanager
 def frozen(module: nn.Module) -> Iterator[None]:
     """Gradients pass through the module inside, and none of its own weights is computed."""
-    for parameter in module.parameters():
-        parameter.requires_grad_(False)
+    module.requires_grad_(False)
     try:
         yield
     finally:
-        for parameter in module.parameters():
-            parameter.requires_grad_(True)
+        module.requires_grad_(True)
+
+
+@functools.cache
+def is_faster_in_bfloat16() -> bool:
+    """Whether a convolution like the generator's is faster in bfloat16, measured once, in about a second.
+
+    The instruction set does not tell: with AMX bfloat16 takes half the time, and one processor that
+    multiplies in it without AMX took 1.4 to 1.6 times as long as in float32.
+    """
+    with seeded(0):
+        layer, features = nn.Conv2d(64, 128, 4, stride=2, padding=1), torch.randn(1, 64, 64, 64)
+
+    def pass_through(bfloat16: bool) -> None:
+        with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
+            torch.autograd.grad(layer(features).float().sum(), layer.weight)
+
+    seconds = side_by_side({"float32": lambda: pass_through(False), "bfloat16": lambda: pass_through(True)})
+    return seconds["float32"]["median"] > WORTH * seconds["bfloat16"]["median"]

@@ -8,7 +8,7 @@ import torch.nn.functional as F
 from helpers import ANALYTIC, MITSUBA, photos_of
 
 from mitsvbrdf.fit import FitTask, GanConfig, fit_svbrdf, gan_config, losses, make_method
-from mitsvbrdf.fit.generator import precision
+from mitsvbrdf.fit.generator import networks
 from mitsvbrdf.fit.generator.networks import PatchDiscriminator
 from mitsvbrdf.fit.generator.pictures import PictureSource
 from mitsvbrdf.fit.start import robust_start
@@ -49,10 +49,9 @@ def test_untrained_it_starts_anywhere(tiles):
     assert normals[..., :2].abs().max() > 0.02
 
 
-@pytest.mark.parametrize("generator, average", [("all-photos", 0.0), ("all-photos", 0.5),
-                                                ("two-stream", 0.0)])
-def test_what_was_found_is_carried_to_the_next_resolution(generator, average, tiles, growing):
-    gan = gan_of(tiles, generator=generator, average=average)
+@pytest.mark.parametrize("generator", ["all-photos", "two-stream"])
+def test_what_was_found_is_carried_to_the_next_resolution(generator, tiles, growing):
+    gan = gan_of(tiles, generator=generator)
     assert [phase.halvings for phase in gan.phases] == [1, 0]
     for _ in range(4):
         gan.step(0.0)
@@ -200,28 +199,6 @@ def test_highlights_lie_where_the_angles_are_small(tiles):
         assert max(abs(a - b) for a, b in zip(bright, near)) <= 2 and off.min() >= 0
 
 
-def test_the_running_average_of_the_weights(tiles):
-    gan = gan_of(tiles, average=0.5, decay=False)
-    name = "up.0.0.0.weight"
-    expected = gan.generator.state_dict()[name].clone()
-    for _ in range(3):
-        gan.step(0.0)
-        expected = 0.5 * expected + 0.5 * gan.generator.state_dict()[name]
-    assert torch.allclose(gan.averaged[name], expected, atol=1e-7)
-    now = gan.generator.state_dict()[name].clone()
-    gan.estimate()
-    assert torch.equal(gan.generator.state_dict()[name], now) and not torch.equal(now, expected)
-
-
-def test_fresh_pictures_in_each_step_of_a_decoder(tiles):
-    for fresh, wanted in ((True, 3), (False, 1)):
-        gan = gan_of(tiles, generator="two-stream", normal_roughness_steps=3, fresh_pictures=fresh)
-        draw, drawn = gan.source.draw, []
-        gan.source.draw = lambda *a, draw=draw, drawn=drawn: (drawn.append(1), draw(*a))[1]
-        gan.step(0.0)
-        assert len(drawn) == wanted
-
-
 def test_what_later_substeps_do_not_move_is_computed_once(tiles):
     once, anew = (gan_of(tiles, generator="two-stream", normal_roughness_steps=5) for _ in range(2))
     substep = anew._substep
@@ -243,9 +220,9 @@ def test_what_later_substeps_do_not_move_is_computed_once(tiles):
 @pytest.mark.parametrize("float32, bfloat16, faster", [(0.1, 0.05, True), (0.1, 0.09, False),
                                                        (0.1, 0.15, False)])
 def test_bfloat16_is_taken_where_it_is_faster(float32, bfloat16, faster, monkeypatch):
-    monkeypatch.setattr(precision, "side_by_side", lambda jobs: [job() for job in jobs.values()] and {
+    monkeypatch.setattr(networks, "side_by_side", lambda jobs: [job() for job in jobs.values()] and {
         "float32": {"median": float32}, "bfloat16": {"median": bfloat16}})
-    assert precision.is_faster_in_bfloat16.__wrapped__() == faster
+    assert networks.is_faster_in_bfloat16.__wrapped__() == faster
 
 
 @pytest.mark.parametrize("began", [True, False])
