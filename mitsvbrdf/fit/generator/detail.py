@@ -44,14 +44,13 @@ NOISE = 4  # channels of noise that the generator sees
 STEEPEST = 0.95  # length of x and y of a normal that is bent, or that of the solved one
 VIEW_SCALE = 10.0  # brings 1 - z of half vectors, some hundredths, to the size of display values
 SHARES = (1.0, 0.85, 0.7, 0.55, 0.4, 0.25, 0.1, 0.0)  # of the generator's change that are tried
-AVERAGED = 10  # steps at the start and at the end whose losses are told
 
 Report = Callable[[str, float], object]
 
 
 @entry(gradients=True)
 def with_detail(result: Fit, capture: Capture, renderer: Renderer, config: DetailConfig | None = None,
-             report: Report = lambda text, share: None) -> Fit:
+                report: Report = lambda text, share: None) -> Fit:
     """A fit with plausible detail beside its maps.
 
     Args:
@@ -72,21 +71,19 @@ def with_detail(result: Fit, capture: Capture, renderer: Renderer, config: Detai
     config.check()
     if why_not(result):
         return result
-    began, logged = time.perf_counter(), list[dict[str, float]]()
+    began = time.perf_counter()
     training = DetailTraining(result, capture, renderer, config)
     with stop_signals() as stopped:
         for step in range(config.steps):
-            logged.append(training.step(step / config.steps))
+            training.step(step / config.steps)
             report(f"step {step + 1}", (step + 1) / config.steps)
             if stopped:
                 return result
     with torch.no_grad():
         share, detail, (_, total, each) = training.weakened(config.worst * result.rerender_rmse)
-    ends = {name: {"first": _mean(logged[:AVERAGED], name), "last": _mean(logged[-AVERAGED:], name)}
-            for name in logged[0]}
     return result.but(detail=detail, detail_record={
         "what": WHAT, "config": asdict(config), "steps": config.steps, "share": share,
-        "seconds": round(time.perf_counter() - began, 3), "losses": ends, "rerender_rmse": total,
+        "seconds": round(time.perf_counter() - began, 3), "rerender_rmse": total,
         "per_photo": dict(zip(capture.names, each))})
 
 
@@ -100,10 +97,6 @@ def why_not(result: Fit) -> str | None:
     spread = (camera.max(dim=0).values - camera.min(dim=0).values).max()
     return ("the photos have one view: nothing says how the material looks under another" if spread < 1e-3
             else None)
-
-
-def _mean(logged: list[dict[str, float]], name: str) -> float:
-    return sum(row[name] for row in logged) / len(logged)
 
 
 class DetailTraining:
@@ -131,15 +124,13 @@ class DetailTraining:
                         for stream in STREAMS[self.solved.bsdf])
         with seeded(config.seed):
             condition.append(torch.randn(size, size, NOISE))
-            self.condition = torch.cat(condition, dim=-1).permute(2, 0,
-                                                                  1)[None].contiguous(memory_format=torch.channels_last)
+            inputs = torch.cat(condition, dim=-1).permute(2, 0, 1)[None]
+            self.condition = inputs.contiguous(memory_format=torch.channels_last)
             generator = AllPhotosGenerator(self.condition.shape[1], (streams[0], streams[1]), config.width)
             self.discriminator = HighlightDiscriminator(8, config.discriminator_width)
         self.generator = convert_conv2d_weight_memory_format(generator, torch.channels_last)
-        self.optimizer = torch.optim.Adam(self.generator.parameters(), lr=config.learning_rate,
-                                          betas=(0.5, 0.99))
-        self.adversary = torch.optim.Adam(self.discriminator.parameters(), lr=config.discriminator_rate,
-                                      betas=(0.5, 0.99))
+        self.optimizer = torch.optim.Adam(self.generator.parameters(), betas=(0.5, 0.99))
+        self.adversary = torch.optim.Adam(self.discriminator.parameters(), betas=(0.5, 0.99))
         self.albedo = color.encode(self.solved.as_roughconductor()["diffuse"])
         self.matte = matte(self.solved)
         self.half = geometry(self.views, size)[1]
@@ -174,8 +165,8 @@ class DetailTraining:
             maps[name] = torch.where(free, map_of(name, moved), maps[name])
         return SVBRDF(self.solved.bsdf, maps)
 
-    def step(self, progress: float) -> dict[str, float]:
-        """One step of both networks at this share (0 to 1) of the run; returns each loss, unweighted."""
+    def step(self, progress: float) -> None:
+        """One step of both networks at this share (0 to 1) of the run."""
         config = self.config
         self.optimizer.param_groups[0]["lr"] = config.learning_rate * cosine(progress)
         self.adversary.param_groups[0]["lr"] = config.discriminator_rate * cosine(progress)
@@ -197,21 +188,15 @@ class DetailTraining:
         under = torch.stack([light.under_it(image, self.side) for light, image in zip(lights, matte)])
         shown = _input(fake, under, angles)
         photo = _input(real, self._in_photos(lights, self.matte_photos), angles)
-        logged = {"discriminator": self._learn(photo, shown.detach())}
+        descend(losses.discriminator(self.discriminator(photo), self.discriminator(shown.detach()),
+                                     "relativistic"), self.adversary)
         with torch.no_grad():
             verdict = self.discriminator(photo)
         terms = {"adversarial": losses.adversarial(verdict, self.discriminator(shown), "relativistic"),
                  "patches": patch_distance(fake, real, lean[..., 0], self.random),
                  "photometric": losses.photometric(known, self.capture.photos[seen], self.capture.transfer),
                  "diffuse": losses.diffuse(svbrdf, self.solved.as_roughconductor()["diffuse"])}
-        weights = {name: getattr(config, name) for name in terms}
-        descend(losses.weighted(terms, weights), self.optimizer)
-        return logged | {name: float(value.detach()) for name, value in terms.items()}
-
-    def _learn(self, photo: Tensor, shown: Tensor) -> float:
-        loss = losses.discriminator(self.discriminator(photo), self.discriminator(shown), "relativistic")
-        descend(loss, self.adversary)
-        return float(loss.detach())
+        descend(losses.weighted(terms, {name: getattr(config, name) for name in terms}), self.optimizer)
 
     def _in_photos(self, lights: list[NovelLight], pictures: Tensor) -> Tensor:
         return torch.stack([light.in_photo(pictures[light.photo], self.side) for light in lights])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 import torch
 import torch.nn.functional as F
@@ -69,7 +69,9 @@ class TwoStreamGenerator(nn.Module):
 
     def begin_change(self) -> None:
         """Set the last layers to zero: what is put out is no change."""
-        zero(decoder[-1] for decoder in (self.normal_roughness, self.diffuse_specular) if decoder is not None)
+        for decoder in (self.normal_roughness, self.diffuse_specular):
+            if decoder is not None:
+                zero(decoder[-1])
 
     @staticmethod
     def _upward(w: int, channels: int) -> list[nn.Module]:
@@ -158,7 +160,8 @@ class AllPhotosGenerator(nn.Module):
 
     def begin_change(self) -> None:
         """Set the last layers to zero: what is put out is no change."""
-        zero(list(decoder.children())[-1] for decoder in self.up)
+        for decoder in self.up:
+            zero(list(decoder.children())[-1])
 
     def _decoder(self, widths: list[int], channels: int) -> nn.ModuleList:
         # The finest level only mixes channels (1 x 1): it has the most pixels, and its neighbours are in the
@@ -183,11 +186,10 @@ class AllPhotosGenerator(nn.Module):
         return out
 
 
-def zero(layers: Iterable[nn.Module]) -> None:
-    """Set all weights of these layers to zero."""
-    for layer in layers:
-        for parameter in layer.parameters():
-            nn.init.zeros_(parameter)
+def zero(layer: nn.Module) -> None:
+    """Set all weights of a layer to zero."""
+    for parameter in layer.parameters():
+        nn.init.zeros_(parameter)
 
 
 def pad_to_multiple(image: Tensor, factor: int) -> Tensor:
