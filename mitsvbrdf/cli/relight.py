@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import os
 from pathlib import Path
-from types import ModuleType
 from typing import TYPE_CHECKING, Annotated
 
 from tyro.conf import Positional, arg
@@ -63,9 +62,6 @@ def relight(
         aliases=["-o"], help="Folder to write. Default: relight inside MAPS.")] = None,
     seed: int = 0, variant: Variant = "llvm_ad_rgb",
     explain: Annotated[bool, arg(help="Print what is omitted, and why, without rendering.")] = False,
-    check: Annotated[bool, arg(help=(
-        "Compare a novel frame with the analytic renderer in float64 by a Z-test, a pixel for each texel. "
-        "Writes nothing. Exit code 1: they differ."))] = False,
     resume: Annotated[bool, arg(
         help="Render the missing frames of an earlier run with the same options.")] = False,
     overwrite: Overwrite = False, strict: Strict = False,
@@ -90,13 +86,11 @@ def relight(
         raise ConfigError("--exposure of -20 to 20 stops", str(exposure), "0 leaves the picture as it is")
     pixels, chosen, kinds = _size(size), _presets(preset), _movies(movie)
     builtin = maps.startswith("builtin:")
-    if builtin and out is None and not (explain or check):
+    if builtin and out is None and not explain:
         raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
     out = out or folder_inside(Path(maps), "relight")
     svbrdf, fit = material_of(maps), fit_of_maps(maps)
     with using_mitsuba(variant) as mi:
-        if check:
-            return _check(mi, svbrdf, fit.known_views, seed)
         stages = [make_stage(mi, svbrdf, each, environment=environment, size=pixels, frames=frames,
                              tiling=tiling, displacement=displacement, views=fit.known_views)
                   for each in chosen]
@@ -145,17 +139,6 @@ def _file_fingerprint(environment: str | None) -> str | None:
     return None if environment is None or not os.path.isfile(environment) else file_hash(Path(environment))
 
 
-def _check(mi: ModuleType, svbrdf: SVBRDF, views: Views | None, seed: int) -> int:
-    from ..relight.check import check_novel
-
-    test = check_novel(mi, svbrdf, views, seed=seed)
-    means = ", ".join(f"{each:+.2f}" for each in test.bias.tolist())
-    say(f"novel against analytic64: {'the same but for noise' if test.passed else 'they differ'}; of "
-        f"{test.z.numel()} values the worst is {float(test.z.abs().max()):.2f} standard deviations off "
-        f"(limit {test.z_limit:.2f}), the means of the channels {means} (limit {test.bias_limit:.2f})")
-    return 0 if test.passed else 1
-
-
 def _finish(stage: Stage, record: Record, folder: Path, kinds: list[str], exposure: float,
             stop: Stop) -> None:
     """Curve and a line for a preset, and its movie where all frames are there."""
@@ -167,7 +150,7 @@ def _finish(stage: Stage, record: Record, folder: Path, kinds: list[str], exposu
     if len(record.of(stage.name)) == stage.frames > 1:
         for kind, write in (("mp4", write_mp4), ("gif", write_gif)):
             if kind in kinds:
-                write(folder / f"{stage.name}.{kind}", display_frames(stage, folder, exposure), stage.fps)
+                write(folder / f"{stage.name}.{kind}", display_frames(stage, folder, exposure))
     error_curve(folder / f"{stage.name}.svg", [frame["curve"] for frame in frames], stop.target_error,
                 f"{stage.name}, {'x'.join(map(str, record.settings['size']))}")
     say(_summary(stage.name, frames))

@@ -18,7 +18,8 @@ RENAMED: dict[str, dict[str, str]] = {"fit": FIT, "batch": FIT, "bench": {"--lef
 NO_GAIN = "it gained nothing on any material (docs/results/{}.md); leave it out"
 GAN = (dict.fromkeys(("--guessed-normal", "--highlight-aware", "--kl"), NO_GAIN.format("lab-notes"))
        | dict.fromkeys(("--average", "--fresh-pictures"), NO_GAIN.format("gan")))
-GONE: dict[str, dict[str, str]] = {"fit": GAN, "batch": GAN}
+GONE: dict[str, dict[str, str]] = {
+    "fit": GAN, "batch": GAN, "relight": {"--check": "a test of the package holds it; leave it out"}}
 
 
 def with_new_names(arguments: Sequence[str]) -> list[str]:

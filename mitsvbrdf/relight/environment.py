@@ -23,9 +23,7 @@ from ..errors import ConfigError
 from ..io import images
 from .scene_file import read_scene
 
-ENVIRONMENTS = {"studio": "three softboxes in a grey room, made by code",
-                "sunsky": "a clear afternoon (Hosek and Wilkie)",
-                "none": "a single light"}
+ENVIRONMENTS = ("studio", "sunsky", "none")  # softboxes in a grey room, a clear afternoon, a single light
 WHITE_LUMINANCE = 0.8  # luminance of a white diffuse surface that faces up, or the single light
 LAMP = (-2.6, -2.0, 3.2)  # left and behind the camera
 HDR_HEADER = 4096  # bytes of an .hdr file among which its size stands
@@ -40,14 +38,10 @@ class Environment:
         emitters: plugin dictionaries by name.
         turned: angle in degrees (counter-clockwise, seen from above) -> values by key of
             ``mi.traverse(scene)``.
-        dark_below: nothing shines below the horizon.
-        omitted: (what, why).
     """
 
     emitters: dict[str, dict[str, Any]]
     turned: Callable[[float], dict[str, Any]]
-    dark_below: bool = False
-    omitted: tuple[tuple[str, str], ...] = ()
 
 
 def make_environment(mi: ModuleType, name: str) -> Environment:
@@ -61,13 +55,12 @@ def make_environment(mi: ModuleType, name: str) -> Environment:
         lamp = {"type": "point", "position": LAMP,
                 "intensity": {"type": "rgb", "value": WHITE_LUMINANCE * math.pi * math.hypot(*LAMP) ** 2}}
         return Environment({"light": lamp},
-                           lambda angle: {"light.position": mi.Point3f(*_about_z(LAMP, angle))},
-                           omitted=(("environment", "a single light is asked for"),))
+                           lambda angle: {"light.position": mi.Point3f(*_about_z(LAMP, angle))})
     if name == "sunsky":
         emitter = read_scene(mi, "sunsky.xml")["environment"]
         sun = tuple(emitter["sun_direction"])
         return Environment({"environment": emitter}, lambda angle: {
-            "environment.sun_direction": mi.Vector3f(*_about_z(sun, angle))}, dark_below=True)
+            "environment.sun_direction": mi.Vector3f(*_about_z(sun, angle))})
     image = studio() if name == "studio" else read_environment(name)
     white = white_luminance(image)
     if white <= 0:
@@ -96,14 +89,12 @@ def read_environment(path: str | Path) -> Tensor:
     path = Path(path)
     if path.suffix.lower() not in (".exr", ".hdr"):
         raise ConfigError(f"an environment of {', '.join(ENVIRONMENTS)}, or an .exr or .hdr file",
-                          repr(str(path)),
-                          "choose one of these")
+                          repr(str(path)), "choose one of these")
     image = images.read_image(path, ConfigError) if path.suffix.lower() == ".exr" else _read_hdr(path)
     image = image.expand(*image.shape[:2], 3)
     if image.shape[0] < 3 or image.shape[1] < 2:
         raise ConfigError("an environment of 2 x 3 pixels or more",
-                          f"{path} with {image.shape[1]} x {image.shape[0]}",
-                          "give a larger one")
+                          f"{path} with {image.shape[1]} x {image.shape[0]}", "give a larger one")
     if not torch.isfinite(image).all():
         raise ConfigError("an environment of finite values", f"NaN or infinity in {path}",
                           "mend or re-export it")

@@ -12,7 +12,7 @@ from types import ModuleType
 from torch import Tensor
 
 from ..errors import ConfigError, MapsError, MitsvbrdfError
-from ..io import files, images, results
+from ..io import files, images
 from ..io.entry import entry
 from ..io.json import load
 from ..io.provenance import machine, versions
@@ -31,8 +31,8 @@ class Record:
 
     Args:
         settings: all that the pictures depend on, as JSON has it; a run that goes on has the same.
-        presets: by preset ``fps``, ``omitted``, and ``frames``: one dict each with ``frame``, ``file``,
-            ``samples``, ``seconds``, ``error``, ``stopped`` and ``curve``.
+        presets: by preset ``omitted`` and ``frames``: one dict each with ``frame``, ``file``, ``samples``,
+            ``seconds``, ``error``, ``stopped`` and ``curve``.
     """
 
     settings: dict
@@ -72,30 +72,19 @@ def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
     Args:
         settings: of this run.
         out: the folder of results, finished or interrupted.
-        folder: where results are made; of a run that was killed it still holds the frames. One with other
-            settings is given up for a finished run in ``out`` that has these.
+        folder: where results are made; of a run that was killed it still holds the frames, and comes first.
 
     Raises:
         ConfigError: there is no earlier run, it had other settings, or it names files outside of its folder.
     """
-    wrong: ConfigError | None = None
-    for place in (folder, out):
-        if not files.is_regular(place / RECORD):
-            continue
-        try:
-            record, names = _found(place, settings)
-        except ConfigError as reason:
-            wrong = wrong or reason
-            continue
-        if place != folder:
-            for entry in folder.iterdir():  # of a run with other settings, which is given up
-                if entry.name != results.MANIFEST:
-                    files.remove(entry)
-            for name in names:
-                (folder / name).parent.mkdir(parents=True, exist_ok=True)
-                shutil.copy2(place / name, folder / name)
-        return record
-    raise wrong or ConfigError(f"a {RECORD} to go on from in {out}", "none", "run without --resume first")
+    place = next((place for place in (folder, out) if files.is_regular(place / RECORD)), None)
+    if place is None:
+        raise ConfigError(f"a {RECORD} to go on from in {out}", "none", "run without --resume first")
+    record, names = _found(place, settings)
+    for name in names if place != folder else ():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(place / name, folder / name)
+    return record
 
 
 def _found(place: Path, settings: Mapping) -> tuple[Record, list[str]]:
@@ -153,7 +142,7 @@ def render_stages(mi: ModuleType, stages: Sequence[Stage], stop: Stop, record: R
     for stage in stages:
         have = record.of(stage.name)
         kept = record.presets.setdefault(stage.name, {"frames": []})
-        kept |= {"fps": stage.fps, "omitted": [{"what": what, "why": why} for what, why in stage.omitted]}
+        kept["omitted"] = [{"what": what, "why": why} for what, why in stage.omitted]
         missing = [k for k in range(stage.frames) if k not in have]
         scene = mi.load_dict(stage.scene) if missing else None
         held = mi.traverse(scene) if missing else None
@@ -194,12 +183,7 @@ def frame_file(stage: Stage, number: int) -> str:
 def display_frames(stage: Stage, folder: Path, exposure: float = 0.0) -> Iterator[Tensor]:
     """The frames of a preset as display values, one after the other."""
     for number in range(stage.frames):
-        yield shown(read_frame(folder / frame_file(stage, number)), exposure)
-
-
-def read_frame(path: Path) -> Tensor:
-    """A frame as it was rendered: linear, H x W x 3."""
-    return images.read_image(path, MitsvbrdfError)
+        yield shown(images.read_image(folder / frame_file(stage, number), MitsvbrdfError), exposure)
 
 
 def _kept(rendered: Rendered, stage: Stage, number: int, folder: Path, exposure: float) -> dict:

@@ -24,19 +24,11 @@ from .shapes import mitsuba_mesh, relief
 
 Place = Callable[[int], dict[str, Any]]
 
-PRESETS = {
-    "sweep": "a light on an arc over the patch; a movie",
-    "turntable": "the patch turning under an environment; a movie",
-    "sphere": "a sphere under an environment, which turns where there are more frames",
-    "shaderball": "a turned body with a groove and a dish, likewise",
-    "novel": "the first photo's camera, with the light moved off the lens; with more frames it circles the "
-             "lens",
-}
-DEFAULTS = {"sweep": ("none", 48), "turntable": ("studio", 72), "sphere": ("studio", 1),
-            "shaderball": ("studio", 1), "novel": ("none", 1)}
+# Default environment and frames of each preset; docs/relight.md says what it shows.
+PRESETS = {"sweep": ("none", 48), "turntable": ("studio", 72), "sphere": ("studio", 1),
+           "shaderball": ("studio", 1), "novel": ("none", 1)}
 OWN_LIGHT = ("sweep", "novel")
 ROUND = ("sphere", "shaderball")  # shapes without relief
-FPS = 24.0
 DIMMEST = 1e-3  # reflections are followed until less of the light than this is left
 OFF_LENS = 0.5  # radius of the circle of lights around the lens, over the camera's height
 RELIEF_QUADS = 512  # quads along a side of a relief
@@ -51,7 +43,6 @@ class Stage:
         name: the preset.
         scene: for ``mi.load_dict``; one sensor (hdrfilm rgb float32, box filter) and the integrator ``path``.
         frames: 1 for a still.
-        fps: frames a second.
         place: frame number -> values by key of ``mi.traverse(scene)``; none of them needs another kernel.
         omitted: (what, why) of each thing that this preview does without.
         views: of ``novel``: camera and light of each frame.
@@ -60,7 +51,6 @@ class Stage:
     name: str
     scene: dict[str, Any]
     frames: int
-    fps: float
     place: Place
     omitted: tuple[tuple[str, str], ...]
     views: Views | None = None
@@ -73,8 +63,6 @@ class Stage:
 
     def at(self, mi: ModuleType, frame: int = 0) -> Any:
         """The loaded scene as it stands at a frame."""
-        if not 0 <= frame < self.frames:
-            raise ConfigError(f"a frame below {self.frames}", str(frame), "count from 0")
         scene = mi.load_dict(self.scene)
         self.move(mi.traverse(scene), frame)
         return scene
@@ -103,7 +91,7 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
     """
     if preset not in PRESETS:
         raise ConfigError(f"a preset of {', '.join(PRESETS)}", repr(preset), "choose one of these")
-    usual_environment, usual_frames = DEFAULTS[preset]
+    usual_environment, usual_frames = PRESETS[preset]
     name = usual_environment if environment is None else environment
     frames = usual_frames if frames is None else frames
     _check(preset, size, frames, tiling, displacement)
@@ -120,13 +108,15 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
     svbrdf = svbrdf.detach().to(torch.float32)
     needs = material_needs(svbrdf)
     scene["material"] = _material(mi, svbrdf, needs, tiling, preset)
-    omitted = [*needs.omitted,
-                *(around.omitted if around else [("environment", "the preset has a light of its own")])]
+    omitted: list[tuple[str, str]] = [*needs.omitted]
+    if name == "none":
+        omitted.append(("environment", "a single light is asked for" if around
+                        else "the preset has a light of its own"))
     if displacement:
         _displace(mi, scene, svbrdf, tiling, displacement)
     elif preset not in ROUND:
         omitted.append(("displacement", "not asked for: normals shade, the surface is flat"))
-    if preset == "sphere" and not (around and around.dark_below):
+    if preset == "sphere" and name != "sunsky":  # which shines on the floor alone
         del scene["floor"]
         omitted.append(("floor", "nothing surrounds the sphere" if name == "none" else
                          "what surrounds the sphere goes on below the horizon"))
@@ -136,7 +126,7 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
     omitted.append((f"light after {reflections} reflection{'s' * (reflections > 1)}", why))
     scene["integrator"] = {"type": "path", "max_depth": reflections + 1}
     scene["sensor"]["film"] |= {"width": int(size[0]), "height": int(size[1])}
-    return Stage(preset, scene, frames, FPS, place, tuple(omitted), shown)
+    return Stage(preset, scene, frames, place, tuple(omitted), shown)
 
 
 def _check(preset: str, size: tuple[int, int], frames: int, tiling: int, displacement: float) -> None:

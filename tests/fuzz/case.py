@@ -20,7 +20,7 @@ LASTING = 10.0  # what an option makes long is ended by Ctrl-C, which must work 
 GRACE = 60.0  # seconds that this may take: a result that is being written is finished first
 MEMORY = 1.5 * 2**30  # resident bytes beside the imports
 # The exit code 1 is an answer of these, and of no other command.
-ANSWER_1 = ("batch", "library", "crosscheck", "stability", "relight", "bench", "doctor")
+ANSWER_1 = ("batch", "library", "crosscheck", "stability", "bench", "doctor")
 KNOWN = Path(__file__).with_name("cases")  # each broke a rule once
 
 

@@ -191,23 +191,6 @@ def test_a_record_brings_no_file_from_outside(tmp_path, name):
         assert not list(folder.iterdir()) and (tmp_path / "secret.exr").read_text() == "theirs"
 
 
-def test_an_unfinished_run_with_other_settings_does_not_hide_the_finished_one(tmp_path):
-    out, folder = tmp_path / "out", tmp_path / "folder"
-    for place, size, names in ((out, 2, ["sphere.exr"]), (folder, 1, ["sweep/0000.exr", "sphere.exr"])):
-        (place / "sweep").mkdir(parents=True)
-        for name in names:
-            (place / name).write_text(str(size))
-        presets = {"sphere": {"frames": [{"frame": 0, "file": name, "stopped": "samples"} for name in names]}}
-        (place / "relight.json").write_text(json.dumps({"settings": {"size": size}, "presets": presets}))
-    (folder / results.MANIFEST).touch()
-    with pytest.raises(ConfigError, match="another size"):
-        frames_module.go_on({"size": 3}, out, folder)
-    assert (folder / "sweep/0000.exr").exists()
-    assert frames_module.go_on({"size": 2}, out, folder).settings == {"size": 2}
-    assert sorted(path.name for path in folder.iterdir()) == [results.MANIFEST, "sphere.exr"]
-    assert (folder / "sphere.exr").read_text() == "2"
-
-
 def raises(error):
     def function(*_):
         raise error
