@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 
-from mitsvbrdf.relight.shapes import Mesh, mitsuba_mesh, sheet
 from mitsvbrdf.render.exclusive import using_mitsuba
 
 # The outline of the shader ball from the floor up, (radius, height): control points of a cubic B-spline. A
@@ -18,6 +20,16 @@ OUTLINE = ((0.60, -0.05), (0.84, -0.01), (0.95, 0.08), (0.95, 0.22), (0.82, 0.31
            (0.36, 1.63), (0.17, 1.58), (0.0, 1.57), (-0.17, 1.58))
 QUADS_AROUND, QUADS_BETWEEN = 96, 5  # quads around the axis, and between two control points
 TILES_AROUND = 2  # around the axis: one is in front, and they meet at the sides
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """A triangle mesh: positions, normals V x 3; uv V x 2; faces F x 3, counter-clockwise outside."""
+
+    positions: np.ndarray
+    normals: np.ndarray
+    uv: np.ndarray
+    faces: np.ndarray
 
 
 def shaderball() -> Mesh:
@@ -72,6 +84,31 @@ def _joined(first: Mesh, second: Mesh) -> Mesh:
     both = {name: np.concatenate((getattr(first, name), getattr(second, name))) for name in ("positions",
                                                                                              "normals", "uv")}
     return Mesh(**both, faces=np.concatenate((first.faces, second.faces + len(first.positions))))
+
+
+def sheet(positions: np.ndarray, normals: np.ndarray, uv: np.ndarray) -> Mesh:
+    """A grid of rows x columns vertices as a mesh; outside is where columns x rows points."""
+    rows, columns = positions.shape[:2]
+    index = np.arange(rows * columns).reshape(rows, columns)
+    a, b, c, d = index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]
+    faces = np.concatenate((np.stack((a, b, c), axis=-1), np.stack((a, c, d), axis=-1)), axis=2)
+    return Mesh(positions.reshape(-1, 3), normals.reshape(-1, 3), uv.reshape(-1, 2), faces.reshape(-1, 3))
+
+
+def mitsuba_mesh(mi: ModuleType, mesh: Mesh, name: str, material: Any = None) -> Any:
+    """The mesh as a Mitsuba shape, with this BSDF where one is given."""
+    props = mi.Properties()
+    if material is not None:
+        props["bsdf"] = material
+    shape = mi.Mesh(name, len(mesh.positions), len(mesh.faces), props=props, has_vertex_normals=True,
+                    has_vertex_texcoords=True)
+    held = mi.traverse(shape)
+    for key, value in (("vertex_positions", mesh.positions), ("vertex_normals", mesh.normals),
+                       ("vertex_texcoords", mesh.uv)):
+        held[key] = mi.Float(np.ascontiguousarray(value, dtype=np.float32).ravel())
+    held["faces"] = mi.UInt32(np.ascontiguousarray(mesh.faces, dtype=np.uint32).ravel())
+    held.update()
+    return shape
 
 
 if __name__ == "__main__":

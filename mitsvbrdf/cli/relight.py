@@ -47,8 +47,6 @@ def relight(
     frames: Annotated[int | None, arg(
         help="Frames of each movie; 1 makes a still. Default: the preset's.")] = None,
     tiling: Annotated[int, arg(help="Repetitions of the maps along each side.")] = 1,
-    displacement: Annotated[float, arg(
-        help="Height of the relief. 1: as high as the normals say; 0: flat.")] = 0.0,
     exposure: Annotated[float, arg(
         help="Brightness of PNG and movies in stops. EXR files stay linear.")] = 0.0,
     target_error: Annotated[float | None, arg(help=(
@@ -92,8 +90,7 @@ def relight(
     svbrdf, fit = material_of(maps), fit_of_maps(maps)
     with using_mitsuba(variant) as mi:
         stages = [make_stage(mi, svbrdf, each, environment=environment, size=pixels, frames=frames,
-                             tiling=tiling, displacement=displacement, views=fit.known_views)
-                  for each in chosen]
+                             tiling=tiling, views=fit.known_views) for each in chosen]
         if explain:
             for stage in stages:
                 for what, why in stage.omitted:
@@ -105,7 +102,7 @@ def relight(
         settings = {"maps": maps if builtin else os.path.realpath(maps),
                     "material": _fingerprint(svbrdf, fit.known_views), "environment": environment,
                     "environment_file": _file_fingerprint(environment), "size": pixels, "frames": frames,
-                    "tiling": tiling, "displacement": displacement, "exposure": exposure,
+                    "tiling": tiling, "exposure": exposure,
                     "target_error": stop.target_error, "budget": budget, "samples": samples, "seed": seed,
                     "variant": variant}
         with results.output_folder(out, overwrite or resume, resume, kept_names(PRESETS)) as folder:

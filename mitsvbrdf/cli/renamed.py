@@ -19,7 +19,9 @@ NO_GAIN = "it gained nothing on any material (docs/results/{}.md); leave it out"
 GAN = (dict.fromkeys(("--guessed-normal", "--highlight-aware", "--kl"), NO_GAIN.format("lab-notes"))
        | dict.fromkeys(("--average", "--fresh-pictures"), NO_GAIN.format("gan")))
 GONE: dict[str, dict[str, str]] = {
-    "fit": GAN, "batch": GAN, "relight": {"--check": "a test of the package holds it; leave it out"}}
+    "fit": GAN, "batch": GAN, "relight": {
+        "--check": "a test of the package holds it; leave it out",
+        "--displacement": "normals shade; `export` writes heights for programs that displace"}}
 
 
 def with_new_names(arguments: Sequence[str]) -> list[str]:

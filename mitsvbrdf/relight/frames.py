@@ -92,7 +92,7 @@ def _found(place: Path, settings: Mapping) -> tuple[Record, list[str]]:
     try:
         found = load(place / RECORD, links=False)
         record, new = Record(found["settings"], found["presets"]), begin(settings).settings
-        other = [name for name in new if record.settings.get(name) != new[name]]
+        other = [name for name in record.settings | new if record.settings.get(name) != new.get(name)]
         for name, preset in record.presets.items():
             preset["frames"] = list(record.of(name).values())
         frames = [frame["file"] for preset in record.presets.values() for frame in preset["frames"]]

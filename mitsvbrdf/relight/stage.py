@@ -14,13 +14,11 @@ from ..errors import ConfigError
 from ..export.mitsuba import view_parameters
 from ..io.entry import entry
 from ..material.maps import SVBRDF
-from ..material.relief import heights
 from ..render.bsdf import needed_maps, plugin, slot_values
 from ..render.needs import Needs, material_needs
 from ..views import Views, nine_view_grid
 from .environment import WHITE_LUMINANCE, Environment, make_environment
 from .scene_file import read_scene
-from .shapes import mitsuba_mesh, relief
 
 Place = Callable[[int], dict[str, Any]]
 
@@ -28,10 +26,9 @@ Place = Callable[[int], dict[str, Any]]
 PRESETS = {"sweep": ("none", 48), "turntable": ("studio", 72), "sphere": ("studio", 1),
            "shaderball": ("studio", 1), "novel": ("none", 1)}
 OWN_LIGHT = ("sweep", "novel")
-ROUND = ("sphere", "shaderball")  # shapes without relief
+ROUND = ("sphere", "shaderball")
 DIMMEST = 1e-3  # reflections are followed until less of the light than this is left
 OFF_LENS = 0.5  # radius of the circle of lights around the lens, over the camera's height
-RELIEF_QUADS = 512  # quads along a side of a relief
 MOST_TILES = 64  # along a side
 
 
@@ -71,7 +68,7 @@ class Stage:
 @entry()
 def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str | None = None,
                size: tuple[int, int] = (512, 512), frames: int | None = None, tiling: int = 1,
-               displacement: float = 0.0, views: Views | None = None) -> Stage:
+               views: Views | None = None) -> Stage:
     """The stage of a preview.
 
     Args:
@@ -82,7 +79,6 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
         size: width and height of the film in pixels.
         frames: how many; left out: what suits the preset.
         tiling: how often the maps are repeated along a side.
-        displacement: height of the relief; 0: flat, 1: as high as the normals say.
         views: of ``novel``: the first one is shown; left out: the first of
             :func:`mitsvbrdf.views.nine_view_grid`.
 
@@ -94,7 +90,7 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
     usual_environment, usual_frames = PRESETS[preset]
     name = usual_environment if environment is None else environment
     frames = usual_frames if frames is None else frames
-    _check(preset, size, frames, tiling, displacement)
+    _check(preset, size, frames, tiling)
     around = None if name == "none" and preset in OWN_LIGHT else make_environment(mi, name)
     if preset == "novel":
         scene, place, shown = _novel(mi, size[0], frames, views)
@@ -112,16 +108,14 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
     if name == "none":
         omitted.append(("environment", "a single light is asked for" if around
                         else "the preset has a light of its own"))
-    if displacement:
-        _displace(mi, scene, svbrdf, tiling, displacement)
-    elif preset not in ROUND:
-        omitted.append(("displacement", "not asked for: normals shade, the surface is flat"))
+    if preset not in ROUND:
+        omitted.append(("displacement", "normals shade, the surface is flat"))
     if preset == "sphere" and name != "sunsky":  # which shines on the floor alone
         del scene["floor"]
         omitted.append(("floor", "nothing surrounds the sphere" if name == "none" else
                          "what surrounds the sphere goes on below the horizon"))
     reflections, why = (1, "a convex shape does not see itself")
-    if displacement or "floor" in scene:
+    if "floor" in scene:
         reflections, why = _reflections(svbrdf)
     omitted.append((f"light after {reflections} reflection{'s' * (reflections > 1)}", why))
     scene["integrator"] = {"type": "path", "max_depth": reflections + 1}
@@ -129,17 +123,12 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
     return Stage(preset, scene, frames, place, tuple(omitted), shown)
 
 
-def _check(preset: str, size: tuple[int, int], frames: int, tiling: int, displacement: float) -> None:
+def _check(preset: str, size: tuple[int, int], frames: int, tiling: int) -> None:
     """Raise ConfigError for numbers out of range, and what does not go with the preset."""
     if frames < 1:
         raise ConfigError("1 frame or more", str(frames), "give --frames 1 for a still")
     if not 1 <= tiling <= MOST_TILES:
         raise ConfigError(f"a tiling of 1 to {MOST_TILES}", str(tiling), "give --tiling 2")
-    if not 0 <= displacement <= 10:
-        raise ConfigError("a displacement from 0 to 10", str(displacement), "1 is as high as the normals say")
-    if displacement and preset in ROUND:
-        raise ConfigError(f"no displacement of a {preset}", str(displacement),
-                          "flat shapes have one: --preset sweep,turntable,novel")
     if preset == "novel" and size[0] != size[1]:
         raise ConfigError("a square picture of the preset novel", f"{size[0]} x {size[1]}",
                           "give one number, or leave novel out")
@@ -164,18 +153,6 @@ def _material(mi: ModuleType, svbrdf: SVBRDF, needs: Needs, tiling: int, preset:
         # be hidden.
         material["flip_invalid_normals"] = True
     return material
-
-
-def _displace(mi: ModuleType, scene: dict[str, Any], svbrdf: SVBRDF, tiling: int,
-              displacement: float) -> None:
-    """The patch of a scene as a mesh with relief; a table stays below it."""
-    height = (displacement / tiling
-              * heights(svbrdf.resized(min(svbrdf.resolution, RELIEF_QUADS // tiling))["normal"]))
-    material = mi.load_dict(scene.pop("material"))
-    scene["patch"] = mitsuba_mesh(mi, relief(height.repeat(tiling, tiling)), "patch", material)
-    if "table" in scene:
-        scene["table"]["to_world"] = (mi.ScalarTransform4f().translate([0, 0, float(height.min())])
-                                      @ scene["table"]["to_world"])
 
 
 def _reflections(svbrdf: SVBRDF) -> tuple[int, str]:

@@ -15,7 +15,6 @@ from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
 from mitsvbrdf.material.relief import occlusion
 from mitsvbrdf.measure.metrics import image_error
 from mitsvbrdf.relight import make_stage
-from mitsvbrdf.relight.shapes import mitsuba_mesh, relief
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.testing import random_material, z_test
 from mitsvbrdf.views import Views, texel_positions
@@ -160,37 +159,10 @@ def test_novel_differs_from_pixel_averages_by_noise_alone(mi, bsdf):
 
 
 def bump(size):
-    """A Gaussian bump beside the middle: its height less the mean, and its normals."""
+    """The height of a Gaussian bump beside the middle, less its mean."""
     x, y, _ = texel_positions(size).unbind(-1)
     height = 0.05 * torch.exp(-((x - 0.1) ** 2 + (y + 0.2) ** 2) / 0.02)
-    right, up = -height * (x - 0.1) / 0.01, -height * (y + 0.2) / 0.01
-    return height - height.mean(), F.normalize(torch.stack((-right, -up, torch.ones_like(x)), dim=-1), dim=-1)
-
-
-def test_a_displaced_patch_is_as_high_as_its_normals_say(mi):
-    height, normal = bump(64)
-    material = SVBRDF("roughconductor", {**flat(64).maps, "normal": normal.float()})
-    stage = make_stage(mi, material, "sweep", displacement=0.5, tiling=2)
-    scene = stage.at(mi)
-    tile = texel_positions(64)[..., :2].reshape(-1, 2) / 2
-    for left, low in ((-0.25, -0.25), (0.25, 0.25)):
-        x, y = (tile + torch.tensor([left, low])).float().T.numpy()
-        hit = scene.ray_intersect(mi.Ray3f(mi.Point3f(x, y, 1), mi.Vector3f(0, 0, -1)))
-        found = torch.from_numpy(np.array(hit.p.z)).double().reshape(64, 64)
-        # the error of the heights themselves, see above
-        assert (found - height / 4).abs().max() < 4e-3 * 0.05 / 4
-        # the normal map is not applied twice
-        assert np.allclose(np.array(hit.sh_frame.n), [[0], [0], [1]], atol=1e-6)
-        assert np.allclose(np.array(hit.sh_frame.s), [[1], [0], [0]], atol=1e-6)
-
-
-def test_a_relief_reaches_the_edges_of_the_patch():
-    mesh = relief(torch.zeros(5, 5))
-    assert mesh.positions.min(axis=0).tolist() == [-0.5, -0.5,
-                                                   0] and mesh.positions.max(axis=0).tolist() == [0.5, 0.5, 0]
-    corners = mesh.positions[mesh.faces]
-    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2] / 2
-    assert area.min() > 0 and area.sum() == pytest.approx(1, rel=1e-12)
+    return height - height.mean()
 
 
 def test_the_shader_balls_file_is_its_recipe_and_its_maps_keep_their_angles(mi):
@@ -215,11 +187,15 @@ def test_the_shader_balls_file_is_its_recipe_and_its_maps_keep_their_angles(mi):
 
 def test_rays_see_as_much_sky(mi):
     """Radiance of white ground with this relief under an even sky, one bounce: the share of the sky."""
-    height = 4 * bump(64)[0]
+    height, ball = 4 * bump(64), runpy.run_path(str(SCENES / "shaderball.py"))
+    positions = texel_positions(64).numpy().copy()
+    positions[..., 2] = height.numpy()
+    upward = np.broadcast_to([0.0, 0.0, 1.0], positions.shape)
+    relief = ball["sheet"](positions[::-1], upward, positions[::-1, :, :2])
     scene = mi.load_dict({"type": "scene", "integrator": {"type": "direct"},
                           "sky": {"type": "constant", "radiance": 1.0},
-                          "patch": mitsuba_mesh(mi, relief(height), "patch",
-                                                mi.load_dict({"type": "diffuse", "reflectance": 1.0})),
+                          "patch": ball["mitsuba_mesh"](mi, relief, "patch",
+                                                        mi.load_dict({"type": "diffuse", "reflectance": 1.0})),
                           "sensor": {"type": "orthographic", "to_world": mi.ScalarTransform4f().look_at(
                               [0, 0, 2], [0, 0, 0], [0, 1, 0]) @ mi.ScalarTransform4f().scale([0.5, 0.5, 1]),
                                      "film": {"type": "hdrfilm", "width": 64, "height": 64,
