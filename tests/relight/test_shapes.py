@@ -11,7 +11,7 @@ from helpers.stages import drawn, unjittered
 
 from mitsvbrdf.export.mitsuba import SCENES
 from mitsvbrdf.io import images
-from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
+from mitsvbrdf.material.maps import CHANNELS, SVBRDF
 from mitsvbrdf.material.relief import occlusion
 from mitsvbrdf.measure.metrics import image_error
 from mitsvbrdf.relight import make_stage
