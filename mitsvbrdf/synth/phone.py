@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -62,21 +62,17 @@ class HandheldPhone:
 
     def check(self) -> None:
         """Raise ConfigError for an option out of range."""
-        numbers = [("megapixels from 0.05 to 100", self.megapixels, 0.05, 100),
-                   ("1 to 999 photos", self.photos, 1, 999),
-                   ("a sheet of 5 to 100 cm", self.sheet, 5, 100), ("a depth of 0 to 5 cm", self.depth, 0, 5),
-                   ("a side of 5 to 200 cm", self.side, 5, 200), ("a focal length of 10 to 200 mm",
-                                                                  self.focal_35mm, 10, 200),
-                   ("a tilt of 1 to 40 degrees", self.tilt, 1, 40), ("grain from 0 to 100", self.grain, 0,
-                                                                     100),
-                   ("a JPEG quality of 0 to 100", self.jpeg, 0, 100)]
-        for wanted, value, low, high in numbers:
+        for name, low, high, unit in (
+                ("megapixels", 0.05, 100, ""), ("photos", 1, 999, ""), ("sheet", 5, 100, " cm"),
+                ("depth", 0, 5, " cm"), ("side", 5, 200, " cm"), ("focal_35mm", 10, 200, " mm"),
+                ("tilt", 1, 40, " degrees"), ("grain", 0, 100, ""), ("jpeg", 0, 100, "")):
+            value = getattr(self, name)
             if value is not None and not low <= value <= high:
-                raise ConfigError(wanted, str(value), "choose a value in this range")
+                raise ConfigError(f"--{name.replace('_', '-')} from {low:g} to {high:g}{unit}", str(value),
+                                  "choose a value in this range")
         if self.sheet and self.side and self.side < Sheet(self.sheet).hole:
             raise ConfigError(f"a side of {Sheet(self.sheet).hole:g} cm or more, the sheet's hole",
-                              f"{self.side:g}",
-                              "leave it out")
+                              f"{self.side:g}", "leave it out")
 
     @property
     def lens(self) -> Lens:
@@ -106,16 +102,13 @@ class Shot:
     pose: Pose
     kind: Spoil | None = None
     orientation: int = 1
-    of: str | None = field(default=None)
 
 
-def shots(phone: HandheldPhone, poses: Sequence[Pose] | None = None,
-          spoil: Sequence[Spoil] = ()) -> list[Shot]:
+def shots(phone: HandheldPhone, spoil: Sequence[Spoil] = ()) -> list[Shot]:
     """The photos to take: good ones first, then one for each way to spoil one; file names tell nothing.
 
     Args:
         phone: the phone.
-        poses: of the good photos, instead of those of :func:`handheld_poses`.
         spoil: kinds, each at most once.
 
     Raises:
@@ -126,14 +119,11 @@ def shots(phone: HandheldPhone, poses: Sequence[Pose] | None = None,
         raise ConfigError(f"kinds of {get_args(Spoil)}, each once", ", ".join(unknown or spoil),
                           "choose from these")
     suffix = "jpg" if phone.jpeg else "png"
-    drawn = handheld_poses(phone, (phone.photos if poses is None else 0) + len(spoil))
-    good = drawn[: phone.photos] if poses is None else list(poses)
-    found = [Shot(f"IMG_{i + 1:04d}.{suffix}", pose) for i, pose in enumerate(good)]
-    copied = found[min(2, len(found) - 1)]
-    for kind, pose in zip(spoil, drawn[len(drawn) - len(spoil) :]):
+    found = list[Shot]()
+    for kind, pose in zip((*[None] * phone.photos, *spoil), handheld_poses(phone, phone.photos + len(spoil))):
         name = f"IMG_{len(found) + 1:04d}.{suffix}"
         if kind == "duplicate":
-            found.append(replace(copied, name=name, kind=kind, of=copied.name))
+            found.append(replace(found[min(2, phone.photos - 1)], name=name, kind=kind))
         elif kind == "rotated":  # the phone upright: its flash turns with it, and EXIF says so
             quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
             found.append(Shot(name, Pose(pose.position, quarter @ pose.rotation), kind, 6))
@@ -159,8 +149,8 @@ def handheld_poses(phone: HandheldPhone, count: int) -> list[Pose]:
             aim = np.append(position[:2] * rng.uniform(0, 1) + rng.normal(0, 0.06, 2) * phone.patch, 0.0)
             pose = Pose.looking_at(position, aim, math.radians(rng.normal(0, 4)))
             seen = project(lens, pose, square) / lens.size
-            if -pose.rotation[2, 2] >= math.cos(
-                math.radians(phone.tilt)) and seen.min() > 0.01 and seen.max() < 0.99:
+            upright = -pose.rotation[2, 2] >= math.cos(math.radians(phone.tilt))
+            if upright and seen.min() > 0.01 and seen.max() < 0.99:
                 break
             higher += 0.005
         found.append(pose)

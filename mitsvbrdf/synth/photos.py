@@ -31,7 +31,6 @@ from ..material.resample import area_averaged
 from ..views import texel_positions
 from .phone import DIAGONAL_35MM, HandheldPhone, Shot, Spoil, shots
 
-USABLE = ("rotated",)  # an odd photo that nothing is wrong with
 SENSOR_DIAGONAL = 9.5  # mm
 FROM_METER = 0.1  # megapixels of the photo that the exposure is measured on
 # mean radiance of the first photo, and share of its values that may be clipped
@@ -43,8 +42,7 @@ FINGER = (0.05, 0.012, 0.008)  # radiance of a finger on the lens
 OTHER, OTHER_SEED = "leather", 7  # what an unrelated photo shows
 
 
-def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[..., Any], poses: Sequence[Pose]
-                    | None = None,
+def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[..., Any],
                     spoil: Sequence[Spoil] = ()) -> tuple[Iterator[tuple[Shot, NDArray[np.uint8]]],
                                                           dict[str, Any]]:
     """Photos of a material, each taken when it is asked for, and the truth about them.
@@ -53,21 +51,20 @@ def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...
         svbrdf: the material, over the whole sample.
         phone: the phone.
         renderer: :class:`mitsvbrdf.synth.traced.HandheldRenderer`, or what makes one like it.
-        poses: of the good photos; left out: held by hand.
         spoil: extra photos that something is odd about.
 
     Returns:
         The photos, H x W x 3 display values (sRGB, 8 bits), and what ``truth.json`` says: ``rig`` (see
         :func:`mitsvbrdf.capture.rig.rig_to_json`, of all photos, in cm), ``intensity`` of the flash (a white
         diffuse texel has the radiance I cos / (pi d^2), d in cm, where radiance 1 is display value 1),
-        ``falloff``, ``transfer``, ``sample_cm``, ``sheet_cm``, ``depth_cm``, ``spoiled`` by name of the
-        photo, and the ``phone``.
+        ``falloff``, ``transfer``, ``sample_cm``, ``sheet_cm``, ``depth_cm``, ``spoiled`` (kind by name of the
+        photo), and the ``phone``.
 
     Raises:
         ConfigError: an option out of range.
     """
     phone.check()
-    plan, lens = shots(phone, poses, spoil), phone.lens
+    plan, lens = shots(phone, spoil), phone.lens
     sheet = Sheet(phone.sheet) if phone.sheet else None
     scene = renderer(svbrdf, phone.sample, sheet, phone.depth)
     power = _metered(scene, phone, plan[0].pose)
@@ -83,14 +80,10 @@ def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...
 
     rig = Rig(lens, {shot.name: shot.pose for shot in plan}, phone.patch, "cm",
               "sheet" if sheet else "photos")
-    odd = {shot.name: {"kind": shot.kind, "usable": shot.kind in USABLE} | ({"of": shot.of} if shot.of
-                                                                            else {})
-           for shot in plan if shot.kind}
     return take(), {"rig": rig_to_json(rig), "intensity": [power] * 3, "falloff": "inverse-square",
-                    "transfer": "srgb",
-                    "sample_cm": phone.sample, "sheet_cm": phone.sheet, "depth_cm": phone.depth if sheet
-                    else 0.0,
-                    "spoiled": odd, "phone": asdict(phone)}
+                    "transfer": "srgb", "sample_cm": phone.sample, "sheet_cm": phone.sheet,
+                    "depth_cm": phone.depth if sheet else 0.0,
+                    "spoiled": {shot.name: shot.kind for shot in plan if shot.kind}, "phone": asdict(phone)}
 
 
 def _metered(scene: Any, phone: HandheldPhone, pose: Pose) -> float:
@@ -168,8 +161,8 @@ def write_photo(path: Path, pixels: NDArray[np.uint8], phone: HandheldPhone, sho
 
 
 def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[..., Any], folder: Path,
-                   spoil: Sequence[Spoil] = (), poses: Sequence[Pose] | None = None,
-                   report: Callable[[int, int], object] | None = None, **about: object) -> dict[str, Any]:
+                   spoil: Sequence[Spoil] = (), report: Callable[[int, int], object] = lambda done, count: None,
+                   **about: object) -> dict[str, Any]:
     """Write photos of :func:`handheld_photos`, ``truth/truth.json`` and the maps ``truth/sample``.
 
     With a sheet also ``truth/maps``, of just the patch within it, as a fit finds them. Without one the photos
@@ -183,12 +176,10 @@ def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...,
     Returns:
         The truth.
     """
-    folder = Path(folder)
-    photos, truth = handheld_photos(svbrdf, phone, renderer, poses, spoil)
+    photos, truth = handheld_photos(svbrdf, phone, renderer, spoil)
     for done, (shot, pixels) in enumerate(photos, 1):
         write_photo(folder / shot.name, pixels, phone, shot)
-        if report:
-            report(done, len(truth["rig"]["poses"]))
+        report(done, len(truth["rig"]["poses"]))
     save_maps(svbrdf, folder / "truth" / "sample")
     if phone.sheet:
         texels = max(1, round(svbrdf.resolution * phone.patch / phone.sample))

@@ -78,6 +78,7 @@ class HandheldRenderer:
         rows = min(height, max(1, MOST_RAYS // (width * samples)))
         scene, held = self._scene(mi, width, rows, bool(ambient), samples)
         sensor = scene.sensors()[0]
+
         def opaque(value: float) -> Any:  # a number that is not compiled in
             return dr.opaque(mi.Float, float(value))
 
@@ -108,10 +109,9 @@ class HandheldRenderer:
                           {"type": INTEGRATOR, "shadow_rays": True, "bounces": 0, "environment": False})
             scene = mi.load_dict({
                 "type": "scene", "integrator": integrator, **light, **self._shapes.content,
-                "sensor": {"type": CAMERA, "film": {"type": "hdrfilm", "width": width, "height": rows,
-                                                    "pixel_format": "rgb",
-                                                    "component_format": "float32",
-                                                    "rfilter": {"type": "box"}},
+                "sensor": {"type": CAMERA,
+                           "film": {"type": "hdrfilm", "width": width, "height": rows, "pixel_format": "rgb",
+                                    "component_format": "float32", "rfilter": {"type": "box"}},
                            "sampler": {"type": "stratified", "sample_count": samples,
                                        "jitter": samples > 1}}})
             self._scenes[key] = Kept((scene, mi.traverse(scene)))
@@ -120,7 +120,10 @@ class HandheldRenderer:
 
 def _shapes(mi: ModuleType, svbrdf: SVBRDF, side: float, sheet: Sheet | None, depth: float) -> dict[str, Any]:
     """All that is seen, by name."""
-    shapes = _sample(mi, svbrdf, side) | _surroundings(mi, side) | (_paper(mi, sheet, depth) if sheet else {})
+    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": TABLE_ALBEDO}}
+    shapes = {"sample": _square(mi, side, 0.0, _material(mi, svbrdf)),
+              "table": _square(mi, max(TABLE, 4 * side), -BELOW, grey)} | (
+                  _paper(mi, sheet, depth) if sheet else {})
     return {name: mi.load_dict(shape) for name, shape in shapes.items()}
 
 
@@ -128,8 +131,7 @@ def _texture(mi: ModuleType, value: NDArray) -> Any:
     """A float bitmap, read bilinearly; row 0 of ``value`` (H x W x C) is the top."""
     pixels = np.ascontiguousarray(np.asarray(value, dtype=np.float32)[::-1])  # texture row 0 is v = 0
     return mi.load_dict({"type": "bitmap", "data": mi.TensorXf(pixels), "raw": True,
-                         "filter_type": "bilinear",
-                         "wrap_mode": "clamp"})
+                         "filter_type": "bilinear", "wrap_mode": "clamp"})
 
 
 def _square(mi: ModuleType, side: float, height: float, bsdf: dict) -> dict:
@@ -137,17 +139,11 @@ def _square(mi: ModuleType, side: float, height: float, bsdf: dict) -> dict:
     return {"type": "rectangle", "to_world": to_world, "bsdf": bsdf}
 
 
-def _sample(mi: ModuleType, svbrdf: SVBRDF, side: float) -> dict:
+def _material(mi: ModuleType, svbrdf: SVBRDF) -> dict:
     svbrdf = svbrdf.detach()
     needs = material_needs(svbrdf)
     slots = slot_values(svbrdf.bsdf, needed_maps(svbrdf, needs), needs)
-    material = plugin(svbrdf.bsdf, needs, lambda slot: _texture(mi, slots[slot].numpy()))
-    return {"sample": _square(mi, side, 0.0, material)}
-
-
-def _surroundings(mi: ModuleType, side: float) -> dict:
-    grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": TABLE_ALBEDO}}
-    return {"table": _square(mi, max(TABLE, 4 * side), -BELOW, grey)}
+    return plugin(svbrdf.bsdf, needs, lambda slot: _texture(mi, slots[slot].numpy()))
 
 
 def _paper(mi: ModuleType, sheet: Sheet, depth: float) -> dict:
@@ -162,8 +158,8 @@ def _paper(mi: ModuleType, sheet: Sheet, depth: float) -> dict:
         x, y = (np.array([left + right, -top - bottom]) / n + (-1, 1)) * sheet.outer / 2
         across, up = (np.array([right - left, bottom - top]) / n) * sheet.outer / 2
         shapes[f"paper_{name}"] = {
-            "type": "rectangle", "to_world": mi.ScalarTransform4f().translate([x, y, depth]).scale([across,
-                                                                                                    up, 1]),
+            "type": "rectangle",
+            "to_world": mi.ScalarTransform4f().translate([x, y, depth]).scale([across, up, 1]),
             "bsdf": {"type": "diffuse", "reflectance": _texture(mi, albedo[top:bottom, left:right])}}
     return shapes
 

@@ -192,10 +192,10 @@ def test_rays_see_as_much_sky(mi):
     positions[..., 2] = height.numpy()
     upward = np.broadcast_to([0.0, 0.0, 1.0], positions.shape)
     relief = ball["sheet"](positions[::-1], upward, positions[::-1, :, :2])
+    white = mi.load_dict({"type": "diffuse", "reflectance": 1.0})
     scene = mi.load_dict({"type": "scene", "integrator": {"type": "direct"},
                           "sky": {"type": "constant", "radiance": 1.0},
-                          "patch": ball["mitsuba_mesh"](mi, relief, "patch",
-                                                        mi.load_dict({"type": "diffuse", "reflectance": 1.0})),
+                          "patch": ball["mitsuba_mesh"](mi, relief, "patch", white),
                           "sensor": {"type": "orthographic", "to_world": mi.ScalarTransform4f().look_at(
                               [0, 0, 2], [0, 0, 0], [0, 1, 0]) @ mi.ScalarTransform4f().scale([0.5, 0.5, 1]),
                                      "film": {"type": "hdrfilm", "width": 64, "height": 64,
