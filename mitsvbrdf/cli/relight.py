@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
+from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,11 +27,9 @@ from .options import (
 )
 
 if TYPE_CHECKING:
-    from ..material.maps import SVBRDF
     from ..relight.frames import Record
     from ..relight.passes import Stop
     from ..relight.stage import Stage
-    from ..views import Views
 
 PICTURE_SIDES = (8, 8192)  # smallest and largest, pixels
 MOVIES = ("mp4", "gif")
@@ -71,6 +69,7 @@ def relight(
 
     Ctrl-C keeps the finished frames and the current one as it is. The same command with --resume goes on.
     """
+    from ..fit.checkpoint import digest
     from ..fit.config import check_seed
     from ..relight.frames import begin, go_on, kept_names, render_stages
     from ..relight.movie import av_module
@@ -82,7 +81,9 @@ def relight(
     check_seed(seed)
     if not -20 <= exposure <= 20:
         raise ConfigError("--exposure of -20 to 20 stops", str(exposure), "0 leaves the picture as it is")
-    pixels, chosen, kinds = _size(size), _presets(preset), _movies(movie)
+    pixels = _size(size)
+    chosen = list(PRESETS) if preset == "all" else _chosen("--preset", preset, PRESETS)
+    kinds = [] if movie == "none" else _chosen("--movie", movie, MOVIES)
     builtin = maps.startswith("builtin:")
     if builtin and out is None and not explain:
         raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
@@ -99,12 +100,14 @@ def relight(
         if "mp4" in kinds and any(stage.frames > 1 for stage in stages):
             av_module()
         keep_apart_from_maps(maps, out)
+        views = fit.known_views
+        lit = (views.camera, views.light, views.intensity) if views else ()
+        sky = file_hash(Path(environment)) if environment and os.path.isfile(environment) else None
         settings = {"maps": maps if builtin else os.path.realpath(maps),
-                    "material": _fingerprint(svbrdf, fit.known_views), "environment": environment,
-                    "environment_file": _file_fingerprint(environment), "size": pixels, "frames": frames,
-                    "tiling": tiling, "exposure": exposure,
-                    "target_error": stop.target_error, "budget": budget, "samples": samples, "seed": seed,
-                    "variant": variant}
+                    "material": digest(*svbrdf.maps.values(), *lit), "environment": environment,
+                    "environment_file": sky, "size": pixels, "frames": frames, "tiling": tiling,
+                    "exposure": exposure, "target_error": stop.target_error, "budget": budget,
+                    "samples": samples, "seed": seed, "variant": variant}
         with results.output_folder(out, overwrite or resume, resume, kept_names(PRESETS)) as folder:
             record = go_on(settings, out, folder) if resume else begin(settings)
 
@@ -118,22 +121,6 @@ def relight(
             say("interrupted: the frames so far are kept; the same command with --resume goes on")
         say(f"wrote {out}/relight.json and what it names")
         return 0
-
-
-def _fingerprint(svbrdf: SVBRDF, views: Views | None) -> str:
-    """Of the maps and the views: a fit made anew is another material."""
-    digest = hashlib.sha256(svbrdf.bsdf.encode())
-    for name, value in svbrdf.maps.items():
-        digest.update(name.encode() + value.contiguous().numpy().tobytes())
-    if views is not None:
-        for value in (views.camera, views.light, views.intensity):
-            digest.update(value.numpy().tobytes())
-    return digest.hexdigest()
-
-
-def _file_fingerprint(environment: str | None) -> str | None:
-    """Of an environment's file; None of those with a name."""
-    return None if environment is None or not os.path.isfile(environment) else file_hash(Path(environment))
 
 
 def _finish(stage: Stage, record: Record, folder: Path, kinds: list[str], exposure: float,
@@ -176,19 +163,9 @@ def _size(text: str) -> tuple[int, int]:
     return sides[0], sides[-1]
 
 
-def _presets(text: str) -> list[str]:
-    from ..relight.stage import PRESETS
-
-    chosen = list(PRESETS) if text == "all" else [part.strip() for part in text.split(",")]
+def _chosen(option: str, text: str, choices: Collection[str]) -> list[str]:
+    chosen = [part.strip() for part in text.split(",")]
     for each in chosen:
-        if each not in PRESETS:
-            raise ConfigError(f"presets of {', '.join(PRESETS)} or all", repr(each), "check --preset")
+        if each not in choices:
+            raise ConfigError(f"{option} of {', '.join(choices)}", repr(each), f"check {option}")
     return list(dict.fromkeys(chosen))
-
-
-def _movies(text: str) -> list[str]:
-    kinds = [] if text == "none" else [part.strip() for part in text.split(",")]
-    for each in kinds:
-        if each not in MOVIES:
-            raise ConfigError("--movie mp4, gif, mp4,gif or none", repr(each), "check --movie")
-    return kinds

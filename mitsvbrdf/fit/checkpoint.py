@@ -117,20 +117,21 @@ def fingerprints(config: FitConfig, capture: Capture, renderer: str,
     views = capture.views
     parts = {f"--{name.replace('_', '-')}": repr(value) for name, value in asdict(config).items()
              if name not in ("iterations", "budget", "fix")}
-    parts |= {f"--fix {name}": _digest(value) for name, value in sorted(fixed.items())}
+    parts |= {f"--fix {name}": digest(value) for name, value in sorted(fixed.items())}
     parts |= {"--renderer": renderer, "--transfer": capture.transfer, "--falloff": views.falloff,
               "size of the patch": repr(views.size)}
     for row, name in enumerate(capture.names):
-        parts[f"photo {name}"] = _digest(capture.photos[row])
-        parts[f"view of photo {name}"] = _digest(views.camera[row], views.light[row], views.intensity[row])
+        parts[f"photo {name}"] = digest(capture.photos[row])
+        parts[f"view of photo {name}"] = digest(views.camera[row], views.light[row], views.intensity[row])
     return parts
 
 
-def _digest(*tensors: Tensor) -> str:
-    digest = hashlib.sha256()
+def digest(*tensors: Tensor) -> str:
+    """SHA-256 of the values of tensors."""
+    found = hashlib.sha256()
     for tensor in tensors:
-        digest.update(tensor.numpy().tobytes())
-    return digest.hexdigest()
+        found.update(tensor.numpy().tobytes())
+    return found.hexdigest()
 
 
 def differing(before: object, now: Mapping[str, str]) -> list[str]:

@@ -161,7 +161,8 @@ def write_photo(path: Path, pixels: NDArray[np.uint8], phone: HandheldPhone, sho
 
 
 def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[..., Any], folder: Path,
-                   spoil: Sequence[Spoil] = (), report: Callable[[int, int], object] = lambda done, count: None,
+                   spoil: Sequence[Spoil] = (),
+                   report: Callable[[int, int], object] = lambda done, count: None,
                    **about: object) -> dict[str, Any]:
     """Write photos of :func:`handheld_photos`, ``truth/truth.json`` and the maps ``truth/sample``.
 
