@@ -22,6 +22,7 @@ from .. import __version__
 from ..errors import LARGEST, ConfigError, exit_code, plain_warnings
 from ..errors import strict as refused
 from ..io.files import check_names
+from ..io.signals import still_waiting
 from .renamed import check_gone, with_new_names
 
 COMMANDS = ("capture", "fit", "batch", "library", "guess", "render", "evaluate", "compare", "crosscheck",
@@ -47,7 +48,17 @@ def main(arguments: list[str] | None = None) -> int:
     resumed = bool(arguments) and arguments[0] in RESUMED
     unfinished = "; what is unfinished goes on with --resume" if resumed else ""
     with plain_warnings():
-        return exit_code(lambda: _run(arguments), "interrupted" + unfinished)
+        return exit_code(lambda: _interruptible(arguments), "interrupted" + unfinished)
+
+
+def _interruptible(arguments: list[str]) -> int:
+    """Run a command. A mistake that comes before a Ctrl-C could be raised counts as that Ctrl-C."""
+    try:
+        return _run(arguments)
+    except Exception as mistake:
+        if still_waiting():
+            raise KeyboardInterrupt from mistake
+        raise
 
 
 def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:

@@ -7,27 +7,45 @@ from __future__ import annotations
 
 import contextlib
 import signal
-import sys
 import threading
 from collections.abc import Iterator
 from types import FrameType
 
 # For Mitsuba and Dr.Jit, the first import of libraries, and torch's own defaults.
 PROCESS = threading.RLock()
+AGAIN = 0.02  # seconds after which a Ctrl-C that met an import is tried again
+_waiting: list[threading.Timer] = []  # the next try of such a Ctrl-C
 
 
 def interrupt(number: int, frame: FrameType | None) -> None:
-    """A handler of Ctrl-C that raises KeyboardInterrupt; while a module is imported it ends the process.
+    """A handler of Ctrl-C that raises KeyboardInterrupt, once no import is under way.
 
-    Raised while an extension module loads, it may crash the process, become another error, or be lost.
+    Raised while an extension module loads, it may end the process, become another error, or be lost.
     """
     while frame is not None:
         if frame.f_globals.get("__name__") == "importlib._bootstrap":
-            print("interrupted", file=sys.stderr, flush=True)
-            signal.signal(number, signal.SIG_DFL)
-            signal.raise_signal(number)  # a shell tells it as 130
+            _waiting[:] = [threading.Timer(AGAIN, _to_main_thread, (number,))]
+            _waiting[0].daemon = True
+            _waiting[0].start()
+            return
         frame = frame.f_back
+    _waiting.clear()
     raise KeyboardInterrupt
+
+
+def still_waiting() -> bool:
+    """Whether a Ctrl-C met an import and was not raised yet; it is not tried again then."""
+    for again in _waiting:
+        again.cancel()
+    return bool(_waiting)
+
+
+def _to_main_thread(number: int) -> None:
+    main = threading.main_thread().ident
+    if main is not None and hasattr(signal, "pthread_kill"):
+        signal.pthread_kill(main, number)
+    else:
+        signal.raise_signal(number)
 
 
 @contextlib.contextmanager
