@@ -26,17 +26,9 @@ F0_RANGE = (1e-6, 0.999)
 
 
 def index_from_f0(f0: Any) -> Any:
-    """Real refractive index (1 + sqrt F0) / (1 - sqrt F0) of reflectance F0, F0 cut to its range."""
+    """Real refractive index (1 + sqrt F0) / (1 - sqrt F0) of a reflectance F0 within its range."""
     root = f0**0.5
     return (1 + root) / (1 - root)
-
-
-def _in_range(f0: Any) -> Any:
-    """F0 cut to :data:`F0_RANGE`, zero slope outside; torch or Dr.Jit."""
-    if hasattr(f0, "clamp"):
-        return f0.clamp(*F0_RANGE)
-    import drjit
-    return drjit.clip(f0, *F0_RANGE)
 
 
 def needed_maps(svbrdf: SVBRDF, needs: Needs) -> dict[str, Tensor]:
@@ -66,7 +58,7 @@ def _with_slope(metallic: Any) -> Any:
 def slot_values(bsdf: str, maps: dict[str, Any], needs: Needs, stock: bool = False) -> dict[str, Any]:
     """What the plugin's texture slots hold for these maps (torch or Dr.Jit arrays, same layout as the maps).
 
-    ``stock``: for Mitsuba's own plugins alone.
+    ``stock``: for Mitsuba's own plugins alone, of torch maps.
 
     Two lobes of ``roughconductor`` are summed by a ``blendbsdf`` of weight 0.5, so both carry a factor 2.
     """
@@ -82,8 +74,8 @@ def slot_values(bsdf: str, maps: dict[str, Any], needs: Needs, stock: bool = Fal
         if needs.fresnel_curve and not stock:
             return slots | {"f0": f0}
         if needs.fresnel_curve:
-            slots["eta"] = index_from_f0(_in_range(f0))
-            f0 = f0 / _in_range(f0)
+            cut = f0.clamp(*F0_RANGE)
+            slots["eta"], f0 = index_from_f0(cut), f0 / cut
         slots[f"specular_x{needs.lobes}"] = f0 * needs.lobes
     return slots
 

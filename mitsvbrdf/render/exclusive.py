@@ -195,7 +195,7 @@ class MitsubaRenderer:
     def __init__(self, variant: str = "llvm_ad_rgb", needs: Needs | None = None) -> None:
         self.variant, self.needs = variant, needs
         with using_mitsuba(variant) as self.mi:
-            register(self.mi)
+            register(variant)
         self.device = "cuda" if variant.startswith("cuda") else "cpu"
         self._drawings: dict[tuple, Drawing] = {}
 

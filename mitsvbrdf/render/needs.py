@@ -8,7 +8,6 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from ..errors import ConfigError
 from ..material.maps import SVBRDF
 from ..views import Views
 
@@ -52,11 +51,6 @@ class Needs:
     path_depth: bool = True
     environment: bool = True
     omitted: tuple[Omitted, ...] = field(default=(), compare=False)
-
-    def __post_init__(self) -> None:
-        if not self.lobes:
-            raise ConfigError("a lobe", "neither the diffuse nor the specular one",
-                              "keep the diffuse lobe: it may be black")
 
     @property
     def lobes(self) -> int:
@@ -104,28 +98,29 @@ def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
 
 def material_needs(svbrdf: SVBRDF) -> Needs:
     """What the maps alone do not need, wherever cameras and lights stand."""
-    diffuse = specular = coloured = metallic = True
-    omitted = list[Omitted]()
-    if svbrdf.bsdf == "roughconductor":
-        specular = not _is_zero(svbrdf["specular"]) or svbrdf["roughness"].requires_grad
-        diffuse = not specular or not _is_zero(svbrdf["diffuse"])
-        coloured = specular and not _is_grey(svbrdf["specular"])
-        metallic = False
-        if not specular:
-            omitted.append(Omitted("specular lobe", "the specular map is 0 and held fixed"))
-        if not diffuse:
-            omitted.append(Omitted("diffuse lobe", "the diffuse map is 0 and held fixed"))
-        if specular and not coloured:
-            omitted.append(Omitted("colour of the specular map", "its three channels are one"))
+    unneeded, omitted = set[str](), list[Omitted]()
+
+    def omit(flag: str, what: str, why: str) -> None:
+        unneeded.add(flag)
+        omitted.append(Omitted(what, why))
+
+    if svbrdf.bsdf == "principled":
+        unneeded.add("fresnel_curve")
+        if _is_zero(svbrdf["metallic"]):
+            omit("metallic", "metallic map", "it is 0 and held fixed")
     else:
-        metallic = not _is_zero(svbrdf["metallic"])
-        if not metallic:
-            omitted.append(Omitted("metallic map", "it is 0 and held fixed"))
-    normal_map = not _is_flat(svbrdf["normal"])
-    if not normal_map:
-        omitted.append(Omitted("normal map", "it is flat and held fixed"))
-    return Needs(diffuse, specular, coloured, metallic, normal_map,
-                 specular and svbrdf.bsdf == "roughconductor", omitted=tuple(omitted))
+        unneeded.add("metallic")
+        if _is_zero(svbrdf["specular"]) and not svbrdf["roughness"].requires_grad:
+            unneeded |= {"coloured_specular", "fresnel_curve"}
+            omit("specular_lobe", "specular lobe", "the specular map is 0 and held fixed")
+        else:
+            if _is_zero(svbrdf["diffuse"]):
+                omit("diffuse_lobe", "diffuse lobe", "the diffuse map is 0 and held fixed")
+            if _is_grey(svbrdf["specular"]):
+                omit("coloured_specular", "colour of the specular map", "its three channels are one")
+    if _is_flat(svbrdf["normal"]):
+        omit("normal_map", "normal map", "it is flat and held fixed")
+    return replace(Needs(), **dict.fromkeys(unneeded, False), omitted=tuple(omitted))
 
 
 def refuse_not_finite(svbrdf: SVBRDF, views: Views) -> None:

@@ -8,7 +8,6 @@ classes it derives from.
 from __future__ import annotations
 
 from functools import cache
-from types import ModuleType
 from typing import Any
 
 from .bsdf import F0_RANGE, FRESNEL, NORMAL_MAP
@@ -44,13 +43,9 @@ def to_shading(axes: tuple[Any, Any, Any], direction: Any) -> Any:
     return type(axes[0])(x, y, dr.select(dr.abs(z) < ROUNDING, -ROUNDING, z))
 
 
-def register(mi: ModuleType) -> None:
-    """Make them known to the Mitsuba variant in use."""
-    _register(mi.variant())
-
-
 @cache
-def _register(variant: str) -> None:
+def register(variant: str) -> None:
+    """Make them known to this Mitsuba variant, which is the one in use."""
     import mitsuba as mi
 
     mi.register_sensor(CAMERA, _rectified_camera())

@@ -20,7 +20,7 @@ from .bsdf import plugin, slot_values
 from .exclusive import MitsubaRenderer
 from .needs import Needs
 from .plugins import CAMERA, INTEGRATOR
-from .texel_plugin import row
+from .texels import row
 
 GREY = ("alpha", "metallic", "roughness")
 

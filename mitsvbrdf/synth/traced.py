@@ -49,7 +49,7 @@ class HandheldRenderer:
                  samples: int = 4, variant: str = "llvm_ad_rgb") -> None:
         self.variant, self.samples = variant, samples
         with using_mitsuba(variant) as mi:
-            register(mi)
+            register(variant)
             _register(mi.variant())
             self._shapes = Kept(_shapes(mi, svbrdf, side, sheet, depth))
         self._scenes: dict[tuple, Kept[tuple[Any, Any]]] = {}

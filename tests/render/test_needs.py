@@ -6,7 +6,6 @@ from dataclasses import fields, replace
 import pytest
 import torch
 
-from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.measure.gradients import fixed_cotangent
@@ -170,8 +169,3 @@ def test_an_expanded_leaf_gets_the_gradient_of_each_channel(name):
     material = SVBRDF("roughconductor", dict(lean_material("roughconductor").maps) | {"specular": leaf})
     gradient = torch.autograd.grad(make_renderer(name).render(material, GRID).sum(), leaf)[0]
     assert torch.allclose(gradient[..., 0], gradient[..., 2]) and gradient.abs().min() > 0
-
-
-def test_a_scene_without_any_lobe_is_refused():
-    with pytest.raises(ConfigError, match="a lobe"):
-        Needs(diffuse_lobe=False, specular_lobe=False)

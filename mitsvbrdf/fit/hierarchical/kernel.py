@@ -17,7 +17,7 @@ from ...color import CLIPPED
 from ...material.maps import COLOURS, Bsdf
 from ...render.needs import Needs
 from ...render.plugins import shading_axes
-from ...render.texel_plugin import HeldPlugin, along, frozen, row, texel_position, view_geometry
+from ...render.texels import HeldPlugin, along, frozen, row, texel_position, view_geometry
 from ...views import Falloff
 from . import cholesky
 from .unknowns import Unknowns, columns_of, pair_of, pairs_of

@@ -25,7 +25,7 @@ from ...render.bsdf import needed_maps
 from ...render.exclusive import Kept, using_mitsuba
 from ...render.needs import Needs, scene_needs
 from ...render.plugins import register
-from ...render.texel_plugin import from_torch, to_torch
+from ...render.texels import from_torch, to_torch
 from ...views import Views
 from ..fixed_maps import unknown_but
 from .kernel import Kernel
@@ -108,7 +108,7 @@ class TexelSolver:
         self.bsdf, self.fixed, self.variant, self.grey_specular = bsdf, dict(fixed
                                                                              or {}), variant, grey_specular
         with using_mitsuba(variant) as self.mi:
-            register(self.mi)
+            register(variant)
         counts = CHANNELS[bsdf] | {"normal": 2} | ({"specular": 1} if grey_specular else {})
         self.unknowns = Unknowns(**{name: (counts[name],) for name in CHANNELS[bsdf]
                                     if name not in self.fixed})
