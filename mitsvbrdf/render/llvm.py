@@ -20,10 +20,10 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass
 from glob import glob
 from pathlib import Path
 from types import ModuleType
+from typing import NamedTuple
 
 from ..errors import BackendError, OutputError
 from ..io.files import write_bytes
@@ -54,8 +54,7 @@ if got != want:
 """
 
 
-@dataclass(frozen=True)
-class LLVM:
+class LLVM(NamedTuple):
     """A libLLVM and the verdict on it."""
 
     path: str  # empty for the one that Dr.Jit finds by itself
@@ -94,8 +93,9 @@ def examine() -> Iterator[LLVM]:
         return
     for path in candidates():
         major = named_version(path)
-        old = 0 < major < OLDEST
-        yield LLVM(path, str(major), False, f"older than {OLDEST}") if old else prove(path)
+        llvm = LLVM(path, str(major), False) if 0 < major < OLDEST else prove(path)
+        old = llvm.version and int(llvm.version.split(".")[0]) < OLDEST
+        yield llvm._replace(proved=False, message=llvm.message or f"older than {OLDEST}") if old else llvm
 
 
 def candidates() -> list[str]:

@@ -69,18 +69,12 @@ def condition(jacobians: Tensor) -> dict[str, float | None]:
 
 
 def disturbed(svbrdf: SVBRDF) -> SVBRDF:
-    """A material a little off: colours and metallic by up to 0.05, roughness by 10 %, normals by 1 degree."""
+    """A valid material a little off: colours and metallic by up to 0.05, roughness 10 %, normals 1 degree."""
     rng = torch.Generator().manual_seed(5)
     maps = {}
     for name, value in svbrdf.maps.items():
         size = 0.1 * value if name == "roughness" else 0.0175 if name == "normal" else 0.05
-        maps[name] = value + size * (2 * torch.rand(value.shape, generator=rng) - 1)
-    return valid(SVBRDF(svbrdf.bsdf, maps))
-
-
-def valid(svbrdf: SVBRDF) -> SVBRDF:
-    """Maps cut to their ranges, unit normals."""
-    maps = {name: value.clamp(1e-4 if name == "roughness" else 0.0, 1.0)
-            for name, value in svbrdf.maps.items()}
-    x, z = svbrdf["normal"][..., :2], svbrdf["normal"][..., 2:].clamp_min(1e-3)
-    return SVBRDF(svbrdf.bsdf, {**maps, "normal": F.normalize(torch.cat((x, z), dim=-1), dim=-1)})
+        off = value + size * (2 * torch.rand(value.shape, generator=rng) - 1)
+        maps[name] = (F.normalize(torch.cat((off[..., :2], off[..., 2:].clamp_min(1e-3)), dim=-1), dim=-1)
+                      if name == "normal" else off.clamp(1e-4 if name == "roughness" else 0.0, 1.0))
+    return SVBRDF(svbrdf.bsdf, maps)
