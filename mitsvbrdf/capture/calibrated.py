@@ -213,7 +213,7 @@ def _table(path: Path) -> list[list[float]]:
     if not path.is_file():
         raise CaptureError(path.name, f"no such file in {path.parent}", "add it, or remove camera_pos.txt")
     try:
-        lines = path.read_text(encoding="utf-8").replace(",", " ").splitlines()
+        lines = text_of(path.read_bytes()).replace(",", " ").splitlines()
         rows = [[float(x) for x in line.split()] for line in lines if line.strip()]
     except (OSError, ValueError) as reason:
         raise CaptureError("rows of numbers", f"{path}: {reason}", "check the calibration") from None

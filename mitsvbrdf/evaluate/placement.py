@@ -24,8 +24,8 @@ def placed(capture: Capture, fit: Fit) -> Capture:
     Where the fit saw some of these photos, all are moved together until those are, in the mean, where the fit
     has them: sideways by an offset, heights and light power by a factor. So photos that it did not see can be
     predicted, though nothing but the photos themselves says where they were taken. A fit that took the
-    default geometry is shown with that. Of stated views the light power alone changes, where the fit's maps
-    told another one.
+    default geometry is shown with that. Stated views are read as the fit was told to; of them the light power
+    alone changes, where the fit's maps told another one.
 
     Args:
         capture: all photos, those held out and those it saw.
@@ -34,6 +34,8 @@ def placed(capture: Capture, fit: Fit) -> Capture:
     Raises:
         CaptureError: the fit estimated views, and these photos do not allow it.
     """
+    if fit.of(capture):
+        capture = fit.reading.of(capture)
     if capture.calibrated and fit.light_power_factor != 1 and not fit.estimated and fit.of(capture):
         return replace(capture, views=replace(capture.views,
                                               intensity=capture.views.intensity * fit.light_power_factor))

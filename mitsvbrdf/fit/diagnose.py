@@ -15,11 +15,11 @@ from ..calibrate.refine import CHANGE
 from ..capture import Capture
 from ..io.profile import profile_seconds, profiled
 from ..io.provenance import machine, versions
-from ..material.maps import SVBRDF
+from ..material.maps import COLOURS, SVBRDF
 from ..measure.burn_in import burn_in, local_burn_in
 from ..measure.rerender import rerender
 from ..views import Views, shift_lights
-from .confidence import confidence, deviations
+from .confidence import UNKNOWN, confidence, deviations
 from .light_power import light_power_told, with_light_power
 from .loop import Loop
 from .methods import method_name
@@ -85,7 +85,10 @@ def _looked_at(svbrdf: SVBRDF, views: Views, task: FitTask) -> tuple[Tensor, flo
     """Re-rendered photos, their error, that of each photo, and the deviations of the maps."""
     images, total, each = rerender(task.renderer, svbrdf, views, task.capture)
     with profiled("uncertainty"):
-        return images, total, each, deviations(svbrdf, views, images, task)
+        spreads = deviations(svbrdf, views, images, task)
+    if task.light_doubted:  # colours are as sure as the light
+        spreads |= {name: torch.full_like(spread, UNKNOWN) for name, spread in spreads.items() if name in COLOURS}
+    return images, total, each, spreads
 
 
 def _stated_views(capture: Capture, views: Views, offset: tuple[float, float],

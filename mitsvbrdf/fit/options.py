@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
 
+from ..calibrate.readings import Axes, Reading
 from ..capture import Capture
 from ..color import Transfer
 from ..errors import ConfigError
@@ -38,6 +39,12 @@ class FitOptions:
     """Light falloff. auto: inverse-square; none for the paper's presets of --method gan."""
     transfer: Literal["auto", Transfer] = "auto"
     """Encoding of light in photos. auto: as stated, else gamma2.2 if calibrated, srgb if plain photos."""
+    axes: Axes = "right-up"
+    """Where x and y of a calibration's positions point in the photos."""
+    side: float | None = None
+    """Side of the patch in the unit of the positions. Default: as stated."""
+    light_factor: float = 1.0
+    """Factor on the stated light power: 0.0001 of centimetres for metres."""
     variant: Literal["llvm_ad_rgb", "cuda_ad_rgb"] = "llvm_ad_rgb"
     """Mitsuba variant."""
     detail: Literal["none", "gan"] = "none"
@@ -52,6 +59,12 @@ class FitOptions:
         if self.resolution < 8:
             raise ConfigError("--resolution of 8 or more", str(self.resolution), "try 256")
         photo_numbers(self.views)
+        _ = self.reading
+
+    @property
+    def reading(self) -> Reading:
+        """How the numbers of the calibration are meant."""
+        return Reading(self.axes, self.side, self.light_factor)
 
     def light(self, config: FitConfig) -> Falloff:
         """How light falls off: as asked for, else as the method takes for granted."""
@@ -62,15 +75,16 @@ class FitOptions:
         return DetailConfig(steps=self.detail_steps, seed=config.seed) if self.detail == "gan" else None
 
     def chosen(self, photos: Capture) -> tuple[Capture, Capture | None]:
-        """The photos to fit; and these with held-out ones, which the page predicts, or None."""
+        """The photos to fit; and these with held-out ones, as stated, which the page predicts, or None."""
         numbers = photo_numbers(self.views)
-        shots = photos if numbers is None else photos.pick(numbers)
+        shots = self.reading.of(photos if numbers is None else photos.pick(numbers))
         unused = [number for number in photos.index if number not in shots.index][:PREDICTED]
         return shots, photos.pick(sorted({*shots.index, *unused})) if unused else None
 
     def record(self, shots: Capture) -> dict:
         """What ``fit.json`` keeps of them; the falloff is that of the photos' views."""
-        kept = ("renderer", "resolution", "views", "transfer", "variant", "detail")
+        kept = ("renderer", "resolution", "views", "transfer", "variant", "detail", "axes", "side",
+                "light_factor")
         return {name: getattr(self, name) for name in kept} | {"falloff": shots.views.falloff}
 
 

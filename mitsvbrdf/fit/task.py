@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Generic, Literal, TypeVar
 
 from torch import Tensor
 
 from ..calibrate.estimate import EstimatedViews, self_calibrated, why_not
+from ..calibrate.readings import doubts
 from ..capture import Capture, guess_diffuse
 from ..render import Renderer
 from . import losses
@@ -31,6 +32,7 @@ class FitTask(Generic[Config]):
         own_guess: guessed diffuse map, R x R x 3 linear; None makes it of the photos.
         estimated: how the views were estimated from the photos; None where they were stated, or stay the
             default.
+        light_doubted: whether photos contradict the stated light power.
     """
 
     capture: Capture
@@ -38,6 +40,7 @@ class FitTask(Generic[Config]):
     config: Config
     own_guess: Tensor | None = None
     estimated: EstimatedViews | None = None
+    light_doubted: bool = False
 
     @cached_property
     def fixed(self) -> Mapping[str, Tensor]:
@@ -93,4 +96,6 @@ class FitTask(Generic[Config]):
 def fit_task(capture: Capture, renderer: Renderer, config: Config) -> FitTask[Config]:
     """The task of a fit, with views estimated if the capture has none and the method moves them."""
     capture, estimated = (capture, None) if config.holds_views else self_calibrated(capture)
-    return FitTask(capture, renderer, config, estimated=estimated)
+    if found := doubts(capture):
+        capture = replace(capture, notes=(*capture.notes, *found.said))
+    return FitTask(capture, renderer, config, estimated=estimated, light_doubted=bool(found and found.light))
