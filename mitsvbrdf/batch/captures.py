@@ -153,21 +153,24 @@ def _captures_in(folder: Path) -> list[Path]:
     """The folder itself where it is a capture, else the captures right inside it; none of a library."""
     if (folder / TOKEN).is_file():
         return []
-    if _folder_is_capture(folder):
-        return [folder]
-    inside = sorted(each for each in folder.iterdir() if each.is_dir() and each.name[0] != "."
-                    and _folder_is_capture(each))
+    if found := _capture_at(folder):
+        return [found]
+    inside = [found for each in sorted(folder.iterdir()) if each.is_dir() and each.name[0] != "."
+              and (found := _capture_at(each))]
     if not inside:
         raise CaptureError("a capture, or a folder of captures", f"{folder}, which has no photos",
                            "check the name")
     return inside
 
 
-def _folder_is_capture(folder: Path) -> bool:
+def _capture_at(folder: Path) -> Path | None:
+    """The folder where it is a capture, or the JSON file in it that states one."""
+    from ..capture.calibrated import stated_in
+
     try:
-        return is_capture(os.listdir(folder))
+        return folder if is_capture(os.listdir(folder)) else stated_in(folder)
     except PermissionError:
-        return True  # the batch then says so of this capture, and goes on with the others
+        return folder  # the batch then says so of this capture, and goes on with the others
 
 
 def _behind(url: str) -> list[str]:

@@ -1,15 +1,16 @@
 """How the numbers of a calibration are meant, and whether its photos bear them out.
 
-Nothing in a file says where x and y point, nor in which units lengths and light power are. The photos do: flat
-texels with one roughness explain them roughly under the right reading, and much worse where highlights and
-shading are expected elsewhere. Diffuse colour and F0 of each texel, and a gain of each photo, are the best ones
-under each reading; what they leave unexplained is compared.
+Nothing in a file says where x and y point, nor in which units lengths and light power are. The photos do.
+Flat texels of one roughness explain them roughly under the right reading, and much worse where highlights and
+shading are expected elsewhere. Each texel's diffuse colour and F0, and each photo's gain, are the best ones
+under each reading; what is left unexplained is compared.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from itertools import product
 from typing import Literal, NamedTuple, get_args
 
@@ -62,10 +63,16 @@ class Reading:
     def __post_init__(self) -> None:
         check_fields(self)
         if self.axes not in get_args(Axes):
-            raise ConfigError(f"--axes of {', '.join(get_args(Axes))}", repr(self.axes), "choose one of these")
+            raise ConfigError(f"--axes of {', '.join(get_args(Axes))}", repr(self.axes),
+                              "choose one of these")
         for name, value in (("--side", self.side), ("--light-factor", self.light_factor)):
             if value is not None and not 1 / LARGEST <= value <= LARGEST:
                 raise ConfigError(f"{name} above 0, at most {LARGEST:g}", f"{value:g}", "choose another one")
+
+    @classmethod
+    def told(cls, options: Mapping) -> Reading:
+        """The reading that options of a command line tell, among others."""
+        return cls(**{each.name: options[each.name] for each in fields(cls) if each.name in options})
 
     def of(self, capture: Capture) -> Capture:
         """The capture with its calibration read like this.
@@ -92,9 +99,8 @@ class Reading:
 
 
 class Doubts(NamedTuple):
-    """A reading that explains the photos clearly better, and what is said of it; of light alone ``light``."""
+    """What photos say against their calibration, in sentences, and whether against its light power."""
 
-    reading: Reading
     said: tuple[str, ...]
     light: bool
 
@@ -116,29 +122,24 @@ def doubts(capture: Capture) -> Doubts | None:
                      if not HEIGHTS[0] < height < HEIGHTS[1] and HEIGHTS[0] < height / 10.0**k < HEIGHTS[1])]
     left = {reading: _left(light, seen, reading.of_views(views))
             for reading in (Reading(axes, size) for size, axes in product(sides, get_args(Axes)))}
-    stated, best = Reading(), min(left, key=lambda reading: left[reading][0])
-    times = left[stated][0] / max(left[best][0], 1e-9)
-    best, said = (best, [_of_places(best, views.size, height, times)]) if times > 1 / CLEARLY else (stated, [])
+    best, said = min(left, key=lambda reading: left[reading][0]), []
+    if left[best][0] < CLEARLY * left[Reading()][0]:
+        x, y = best.axes.split("-")
+        options = [f"--axes {best.axes}"] * (best.axes != "right-up")
+        options += [f"--side {best.side:.6g}"] if best.side else []
+        said.append(f"the photos contradict the stated places of cameras and lights, {height:.3g} patch "
+                    f"sides away: with x {x}, y {y} and a side of {best.side or views.size:.6g} they are "
+                    f"explained {left[Reading()][0] / max(left[best][0], 1e-9):.1f} times as well; try "
+                    f"{' '.join(options)}")
+    else:
+        best = Reading()
     reflectance = left[best][1]
-    if doubted := not FAINT < reflectance < BRIGHT:
-        factor = min(UNITS, key=lambda unit: abs(math.log(reflectance / USUAL / unit)))
-        best = replace(best, light_factor=factor)
-        said.append(f"with the stated light power the material reflects {reflectance:.1g} of the light, as no "
-                    f"material does: its unit may be another one; try --light-factor {factor:g} (of "
+    if light_doubted := not FAINT < reflectance < BRIGHT:
+        factor = min(UNITS, key=lambda unit: abs(math.log(max(reflectance, 1e-30) / USUAL / unit)))
+        said.append(f"with the stated light power the material reflects {reflectance:.1g} of the light, as "
+                    f"no material does: its unit may be another one; try --light-factor {factor:g} (of "
                     "centimetres for metres it is 0.0001, of the reverse 10000)")
-    return Doubts(best, tuple(said), doubted) if said else None
-
-
-def _of_places(best: Reading, size: float, height: float, times: float) -> str:
-    option, ways = [], best.axes.split("-")
-    what = "the stated places of camera and light"
-    if best.side:
-        what += f" ({height:.3g} patch sides away)"
-        option.append(f"--side {best.side:.6g}")
-    if best.axes != "right-up":
-        option.append(f"--axes {best.axes}")
-    return (f"the photos contradict {what}: with x to the {ways[0]}, y to the {ways[1]} and a side of "
-            f"{best.side or size:.6g} they are explained {times:.1f} times as well; try {' '.join(option)}")
+    return Doubts(tuple(said), light_doubted) if said else None
 
 
 def _left(photos: Tensor, seen: Tensor, views: Views) -> tuple[float, float]:

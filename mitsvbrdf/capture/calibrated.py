@@ -7,6 +7,8 @@ the text files of MaterialGAN. Both check what they read, photo by photo and num
 
 from __future__ import annotations
 
+import contextlib
+import json
 import reprlib
 from pathlib import Path
 from typing import Annotated, Any, get_args
@@ -19,7 +21,7 @@ from .. import color
 from ..errors import CaptureError
 from ..io.decode import decoded, header, upright
 from ..io.images import averaged
-from ..io.json import read_json
+from ..io.json import load, read_json
 from ..views import Falloff, Views, default_views
 from .capture import LEAST_SIDE, Calibration, Capture
 from .photo import PLAIN, files_of
@@ -28,7 +30,27 @@ NUMBER = Annotated[float, Meta(ge=-1e300, le=1e300)]  # no NaN either
 ROW = Annotated[list[NUMBER], Meta(min_length=3, max_length=3)]
 ROWS = Annotated[list[ROW], Meta(min_length=1)]
 KINDS = {NUMBER: "a finite number", ROW: "three numbers", ROWS: "rows of three numbers"}
+STATED = "target_dir", "camera_pos", "light_pos", "light_pow", "im_size", "idx"
 MOST_HELD = 500_000_000  # pixels of all photos of a capture, shrunk: 6 GB
+
+
+def stated_in(folder: Path) -> Path | None:
+    """The JSON file in a folder that states views of photos, as svbrdf-diff-renderer names it, or None.
+
+    Raises:
+        CaptureError: several do, and they differ.
+    """
+    found: dict[Path, list] = {}
+    for path in sorted(folder.glob("*.json")):
+        with contextlib.suppress(OSError, ValueError, TypeError):  # one without these, or of another kind
+            stated = load(path)
+            if "camera_pos" in stated and any((folder / stated.get("target_dir")).glob("[0-9]*.*")):
+                found[path] = [stated.get(key) for key in STATED]
+    if any(numbers != next(iter(found.values())) for numbers in found.values()):
+        names = ", ".join(path.name for path in found)
+        raise CaptureError("one calibration", f"{names} in {folder}, which differ",
+                           "name the file to read, instead of the folder")
+    return next(iter(found), None)
 
 
 def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
@@ -209,12 +231,14 @@ def _stated(value: Any, shape: Any, where: str) -> Any:
 
 
 def _table(path: Path) -> list[list[float]]:
-    """The numbers of a text file, row by row, separated by commas or blanks."""
+    """The numbers of a text file, row by row, separated by commas or blanks; ``#`` begins a remark."""
     if not path.is_file():
         raise CaptureError(path.name, f"no such file in {path.parent}", "add it, or remove camera_pos.txt")
     try:
-        lines = text_of(path.read_bytes()).replace(",", " ").splitlines()
-        rows = [[float(x) for x in line.split()] for line in lines if line.strip()]
+        content = path.read_bytes()
+        lines = content.decode(json.detect_encoding(content)).replace(",", " ").splitlines()
+        told = filter(None, (line.split("#")[0].split() for line in lines))
+        rows = [[float(x) for x in numbers] for numbers in told]
     except (OSError, ValueError) as reason:
         raise CaptureError("rows of numbers", f"{path}: {reason}", "check the calibration") from None
     if not rows:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import os
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -17,8 +19,9 @@ from ..io import files
 from ..io.decode import upright
 from ..io.entry import entry
 from ..io.images import averaged, write_png
+from ..io.json import load
 from ..views import FIELD_OF_VIEW, Falloff, default_views
-from .calibrated import from_json, from_text
+from .calibrated import from_json, from_text, stated_in
 from .capture import LEAST_SIDE, Capture
 from .lens import field_of_view
 from .photo import Photo, Unreadable, differences, photos_in
@@ -39,7 +42,8 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
       r g b, or one row a photo), ``im_size``, ``target_dir``, and where given ``light_pos`` (else the light
       is at the camera), ``idx`` (which rows and photos ``NN.png|jpg`` are used, else all) and our own
       ``transfer`` and ``calibration``; without ``camera_pos`` nothing is known of the views but that the
-      photos are rectified;
+      photos are rectified. Without ``capture.json``, another JSON file with ``camera_pos`` beside its
+      ``target_dir`` serves, such as ``optim_latent_256.json``;
     - ``camera_pos.txt``, ``image_size.txt``, ``light_power.txt`` and where given ``light_pos.txt`` beside the
       photos ``00.png|jpg``, ... (MaterialGAN);
     - photos alone, as a phone wrote them: three or more as
@@ -89,8 +93,14 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
     elif (path / "fit.json").is_file():
         raise CaptureError("a folder of photos", f"{path}, the result of a fit",
                            "name the folder that was fitted")
+    elif stated := stated_in(path):
+        capture = from_json(stated, falloff, resolution)
+        capture = replace(capture, notes=(f"the calibration is that of {stated.name}",))
     else:
         capture = _from_plain(path, falloff, resolution, transfer, report)
+        if above := _stated_above(path):
+            note = f"{above} states views of these photos, which are read without them: name it instead"
+            capture = replace(capture, notes=(*capture.notes, note))
     capture = capture if index is None else capture.pick(index)
     capture = _shrunk(replace(capture, transfer=transfer or capture.transfer), resolution)
     if log:
@@ -121,6 +131,17 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
                       "camera_pos": views.camera.tolist(), "light_pos": views.light.tolist(),
                       "light_pow": power[0] if all(row == power[0] for row in power) else power,
                       "transfer": capture.transfer, "calibration": capture.calibration, **(keys or {})})
+
+
+def _stated_above(folder: Path) -> Path | None:
+    """The calibration in the folder above that states views of these photos."""
+    here = Path(os.path.realpath(folder))
+    with contextlib.suppress(CaptureError, OSError, ValueError, KeyError, TypeError):
+        ours = here.parent / "capture.json"
+        above = ours if ours.is_file() else stated_in(here.parent)
+        if above and "camera_pos" in (stated := load(above)):
+            return above if os.path.realpath(above.parent / stated["target_dir"]) == str(here) else None
+    return None
 
 
 def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer: color.Transfer | None,

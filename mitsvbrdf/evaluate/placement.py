@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 
 from ..calibrate.estimate import self_calibrated, why_not
+from ..calibrate.readings import Reading
 from ..capture import Capture, read_capture
 from ..errors import CaptureError
 from ..fit.result import Fit
@@ -35,7 +36,7 @@ def placed(capture: Capture, fit: Fit) -> Capture:
         CaptureError: the fit estimated views, and these photos do not allow it.
     """
     if fit.of(capture):
-        capture = fit.reading.of(capture)
+        capture = Reading.told(fit.record.get("command", {})).of(capture)
     if capture.calibrated and fit.light_power_factor != 1 and not fit.estimated and fit.of(capture):
         return replace(capture, views=replace(capture.views,
                                               intensity=capture.views.intensity * fit.light_power_factor))

@@ -87,7 +87,7 @@ def _looked_at(svbrdf: SVBRDF, views: Views, task: FitTask) -> tuple[Tensor, flo
     with profiled("uncertainty"):
         spreads = deviations(svbrdf, views, images, task)
     if task.light_doubted:  # colours are as sure as the light
-        spreads |= {name: torch.full_like(spread, UNKNOWN) for name, spread in spreads.items() if name in COLOURS}
+        spreads |= {name: torch.full_like(spreads[name], UNKNOWN) for name in COLOURS if name in spreads}
     return images, total, each, spreads
 
 

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from .. import color
-from ..calibrate.readings import Reading
 from ..capture import Capture
 from ..errors import MapsError, MitsvbrdfError
 from ..io import files, images
@@ -255,12 +254,6 @@ class Fit:
         return float(self.calibration.get("power_told") or 1.0)
 
     @property
-    def reading(self) -> Reading:
-        """How it was told to read the calibration of its photos."""
-        told = self.record.get("command", {})
-        return Reading(**{name: told[name] for name in ("axes", "side", "light_factor") if name in told})
-
-    @property
     def side_metres(self) -> float | None:
         """Side of its patch; None where no sheet in the photos told the unit of its views."""
         return self.views.size / 100 if self.calibration.get("from") == "sheet" else None
@@ -297,7 +290,7 @@ def write_record(folder: Path, fit: Fit, command: dict, stored: Mapping[str, SVB
 def _read(folder: Path) -> Fit:
     try:
         fit = Fit(checked(record_in(folder)), folder)
-        _ = fit.flash_offset, fit.views, fit.light_power_factor, fit.reading  # they are checked as they are made
+        _ = fit.flash_offset, fit.views, fit.light_power_factor  # they are checked as they are made
     except (OSError, ValueError, KeyError, TypeError, MitsvbrdfError) as reason:
         raise MapsError(f"a {FILE} of this package", f"{folder / FILE}: {error_text(reason)}",
                         "move it away to read the maps alone") from None

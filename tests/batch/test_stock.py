@@ -83,6 +83,7 @@ def test_damage_is_noticed_kept_aside_and_done_anew(results, shots, harm, said):
 def test_a_capture_that_changed_is_done_anew_and_hides_its_former_result(results, shots):
     do(results, stock(results, shots[0]))
     before = results.names()
+    results.restate(results.result(before[0]).but(date="2026-01-01T00:00:00Z"))
     (shots[0] / "target/00.png").write_bytes(b"another")
     do(results, stock(results, shots[0]))
     assert len(results.names()) == 2 and list(Library(results).shown()) == [

@@ -57,6 +57,32 @@ def test_text_capture_agrees_with_json(tmp_path, separator):
     assert torch.equal(a.photos, b.photos) and same_views(a.views, b.views) and a.transfer == b.transfer
 
 
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_byte_order_mark_and_remarks_are_read_over(encoding, tmp_path):
+    # Notepad writes the first, PowerShell's > the second, numpy.savetxt a header behind "#".
+    a, b = text_capture(tmp_path / "a"), text_capture(tmp_path / "b")
+    for path in b.glob("*.txt"):
+        path.write_bytes(("# x y z\r\n" + path.read_text().replace("\n", "\r\n") + "\r\n").encode(encoding))
+    assert same_views(read_capture(a).views, read_capture(b).views)
+
+
+def test_the_own_files_of_svbrdf_diff_renderer_are_found(tmp_path):
+    expected = read_capture(json_capture(tmp_path))
+    stated = (tmp_path / "capture.json").read_text()
+    (tmp_path / "capture.json").unlink()
+    for name in ("optim_latent_256.json", "optim_pixel_256_to_512.json"):
+        (tmp_path / name).write_text(stated)
+    (tmp_path / "notes.json").write_text("[]")
+    found = read_capture(tmp_path)
+    assert same_views(found.views, expected.views) and torch.equal(found.photos, expected.photos)
+    assert found.notes == ("the calibration is that of optim_latent_256.json",)
+    assert any("optim_latent_256.json states views of these photos" in note
+               for note in read_capture(tmp_path / "target").notes)
+    (tmp_path / "optim_pixel_256_to_512.json").write_text(stated.replace("6.848", "7"))
+    fails(tmp_path, "optim_latent_256.json, optim_pixel_256_to_512.json", "differ")
+    assert same_views(read_capture(tmp_path / "optim_latent_256.json").views, expected.views)
+
+
 def test_text_capture_without_light_pos_and_with_power_rows(tmp_path):
     capture = read_capture(text_capture(tmp_path, light_pos=None, light_power="1,2,3\n4,5,6\n7,8,9"))
     assert torch.equal(capture.views.camera, capture.views.light)
