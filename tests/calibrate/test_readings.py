@@ -28,8 +28,9 @@ def stated(capture: Capture, turn=lambda x, y: (x, y), side: float = 1.0, length
     def rows(places):
         return torch.tensor([[*turn(x, y), z] for x, y, z in places.tolist()], dtype=places.dtype) * lengths
 
-    return replace(capture, views=replace(views, camera=rows(views.camera), light=rows(views.light),
-                                          intensity=views.intensity * light, size=views.size * lengths * side))
+    return replace(capture, views=replace(
+        views, camera=rows(views.camera), light=rows(views.light), intensity=views.intensity * light,
+        size=views.size * lengths * side))
 
 
 WRONG = {"y down": (dict(turn=lambda x, y: (x, -y)), "--axes right-down"),
@@ -76,9 +77,9 @@ def test_where_photos_tell_too_little_nothing_is_said(made):
     assert doubts(replace(wrong, photos=torch.full_like(wrong.photos, 0.5))) is None
 
 
-@pytest.mark.parametrize("axes, turn", [("right-down", lambda x, y: (x, -y)), ("up-right", lambda x, y: (y, x)),
-                                        ("left-up", lambda x, y: (-x, y)), ("down-left", lambda x, y: (-y, -x)),
-                                        ("up-left", lambda x, y: (y, -x))])
+@pytest.mark.parametrize("axes, turn", [
+    ("right-down", lambda x, y: (x, -y)), ("up-right", lambda x, y: (y, x)),
+    ("left-up", lambda x, y: (-x, y)), ("down-left", lambda x, y: (-y, -x)), ("up-left", lambda x, y: (y, -x))])
 def test_the_option_gives_the_views_meant_and_evaluation_follows_it(axes, turn):
     meant = photos_of(make_material("inlay", 16))
     wrong = stated(meant, turn, side=0.01, light=1e4)
