@@ -79,7 +79,8 @@ def test_where_photos_tell_too_little_nothing_is_said(made):
 
 @pytest.mark.parametrize("axes, turn", [
     ("right-down", lambda x, y: (x, -y)), ("up-right", lambda x, y: (y, x)),
-    ("left-up", lambda x, y: (-x, y)), ("down-left", lambda x, y: (-y, -x)), ("up-left", lambda x, y: (y, -x))])
+    ("left-up", lambda x, y: (-x, y)), ("down-left", lambda x, y: (-y, -x)),
+    ("up-left", lambda x, y: (y, -x))])
 def test_the_option_gives_the_views_meant_and_evaluation_follows_it(axes, turn):
     meant = photos_of(make_material("inlay", 16))
     wrong = stated(meant, turn, side=0.01, light=1e4)
