@@ -44,6 +44,10 @@ class MapsWarning(InputWarning):
     """Material maps were corrected; the message says what, where, and in how many texels."""
 
 
+class AssumedWarning(UserWarning):
+    """A file leaves open what it holds; the message says what is assumed, and what overrules that."""
+
+
 class OutputError(MitsvbrdfError):
     """A result cannot be written to its place."""
 
@@ -76,9 +80,10 @@ def plain_warnings() -> Iterator[None]:
         others = warnings.showwarning
 
         def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-            if issubclass(category, InputWarning):
+            if issubclass(category, (InputWarning, AssumedWarning)):
+                kind = "note" if issubclass(category, AssumedWarning) else "warning"
                 if str(message) not in said:  # Python forgets printed warnings when a filter changes
-                    print(f"warning: {message}", file=sys.stderr)
+                    print(f"{kind}: {message}", file=sys.stderr)
                 said.add(str(message))
             else:
                 others(message, category, *place, **more)

@@ -17,6 +17,8 @@ from ..render import RendererName, make_renderer
 from ..views import photo_numbers
 from .options import (
     JsonFile,
+    MapEncoding,
+    MapNormal,
     Out,
     Overwrite,
     Reference,
@@ -29,6 +31,7 @@ from .options import (
     fit_of_maps,
     material_of,
     name_of,
+    read_as,
     read_photos,
 )
 
@@ -42,7 +45,8 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
                 "Folders of maps, published or the OUT of fits, or builtin:NAME. NAME= sets the caption. "
                 "Default: the folder's name."))]],
             capture: Annotated[Path, arg(metavar="CAPTURE", help="The photos.")], out: Out,
-            reference: Reference = None, views: ViewList = None,
+            reference: Reference = None, encoding: MapEncoding = (), normal: MapNormal = "auto",
+            views: ViewList = None,
             resolution: Annotated[int | None, arg(
                 help="Side of photos and maps. Default: the smallest among them, at most 256.")] = None,
             renderer: RendererName = "mitsuba", transfer: Annotated[TransferOption, arg(
@@ -68,18 +72,19 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
     check_side(resolution)
     sources = [*map(_folder, maps), reference]
     check_new_files(out, json_file, overwrite=overwrite, photos=capture, read=sources)
-    entries = [_entry(text, resolution or LARGEST_SIDE) for text in maps]
+    read = ((), "auto") if reference else (encoding, normal)
+    entries = [_entry(text, resolution or LARGEST_SIDE, *read) for text in maps]
     size = resolution or min(LARGEST_SIDE, *(entry.svbrdf.resolution for entry in entries))
     photos, chosen = read_photos(capture, size, None, transfer, "inverse-square"), photo_numbers(views)
     shots = photos if chosen is None else photos.pick(chosen)
     for entry in entries:
         if entry.svbrdf.resolution != shots.resolution:
             say(f"{entry.name}: maps of {entry.svbrdf.resolution} px are compared at {shots.resolution} px")
-    known = map_errors = None
+    known, map_errors, decoded = None, None, read_as(encoding, normal)
     if reference is not None:
-        known = material_of(reference, shots.resolution)
+        known = material_of(reference, shots.resolution, encoding, normal)
         map_errors = partial(map_rmse, reference=known) if reference.startswith("builtin:") else partial(
-            evaluate_maps, material=reference)
+            evaluate_maps, material=reference, encoding=decoded[0], normal=decoded[1])
     record, pictures = measure(entries, photos, make_renderer(renderer, variant), map_errors,
                                None if transfer == "auto" else transfer, Priors() if refine_views else None,
                                shots.index)
@@ -96,13 +101,13 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
     return 0
 
 
-def _entry(text: str, resolution: int) -> Entry:
+def _entry(text: str, resolution: int, encoding: MapEncoding, normal: MapNormal) -> Entry:
     """Maps, name and fit of ``[NAME=]MAPS``; the folder is the name of maps without one."""
     from ..evaluate.compare import Entry
 
     maps = _folder(text)
     name = text[:len(text) - len(maps)].removesuffix("=") or name_of(maps)
-    return Entry(name, maps, material_of(maps, resolution), fit_of_maps(maps))
+    return Entry(name, maps, material_of(maps, resolution, encoding, normal), fit_of_maps(maps))
 
 
 def _folder(text: str) -> str:

@@ -19,6 +19,8 @@ from ..render import RENDERERS, make_renderer
 from ..views import Falloff, shift_lights
 from .options import (
     JsonFile,
+    MapEncoding,
+    MapNormal,
     Overwrite,
     Variant,
     ViewSource,
@@ -35,7 +37,7 @@ def crosscheck(
     maps: Positional[Annotated[str | None, arg(metavar="MAPS", help=(
         "A folder of maps, the OUT of a fit, or builtin:NAME. Default: made materials and corner cases."))]
     ] = None,
-    views: ViewSource = "builtin:grid",
+    views: ViewSource = "builtin:grid", encoding: MapEncoding = (), normal: MapNormal = "auto",
     bsdf: Annotated[Literal["all", "roughconductor", "principled"],
                     arg(help="BSDF to render with. The maps are converted to it.")] = "all",
     renderer: Annotated[Literal["all", "mitsuba", "mitsuba-scene", "analytic"],
@@ -59,7 +61,7 @@ def crosscheck(
         raise ConfigError("--repeats of 1 or more", str(repeats), "try 5")
     check_side(resolution)
     check_new_files(json_file, html_file, overwrite=overwrite, read=[maps], photos=views)
-    materials, falloff, offset, transfer = _materials(maps, resolution)
+    materials, falloff, offset, transfer = _materials(maps, resolution, encoding, normal)
     names, lit = views_of(views, falloff)
     say(f"{len(names)} views of {views}")
     if offset:
@@ -89,7 +91,7 @@ def crosscheck(
     return 1 if count else 0
 
 
-def _materials(maps: str | None, resolution: int | None,
+def _materials(maps: str | None, resolution: int | None, encoding: MapEncoding, normal: MapNormal,
                ) -> tuple[dict[str, SVBRDF], Falloff, tuple[float, float] | None, Transfer]:
     """Materials by name, and falloff, flash offset and transfer of their fit (or the defaults)."""
     from ..material.corner_cases import builtin_materials
@@ -98,7 +100,7 @@ def _materials(maps: str | None, resolution: int | None,
     if maps is None:
         materials = builtin_materials(resolution or 128)
     else:
-        svbrdf = material_of(maps, resolution or 256)
+        svbrdf = material_of(maps, resolution or 256, encoding, normal)
         materials = {name_of(maps): svbrdf.resized(min(resolution or 256, svbrdf.resolution))}
     return materials, fit.falloff, fit.flash_offset, fit.transfer or "gamma2.2"
 

@@ -17,6 +17,8 @@ from ..views import photo_numbers
 from .options import (
     FalloffOption,
     JsonFile,
+    MapEncoding,
+    MapNormal,
     Material,
     Overwrite,
     Reference,
@@ -27,11 +29,13 @@ from .options import (
     check_new_files,
     fit_of_maps,
     material_of,
+    read_as,
     read_photos,
 )
 
 
 def evaluate(maps: Positional[Material], reference: Reference = None,
+             encoding: MapEncoding = (), normal: MapNormal = "auto",
              capture: Annotated[Path | None, arg(metavar="CAPTURE", help="Photos to compare with.")] = None,
              views: ViewList = None,
              resolution: Annotated[int | None, arg(
@@ -67,11 +71,12 @@ def evaluate(maps: Positional[Material], reference: Reference = None,
     if refine_views and capture is None:
         raise ConfigError("--capture beside --refine-views", "--reference", "give the photos to refine")
     check_new_files(json_file, overwrite=overwrite, photos=capture, read=[maps, reference])
-    svbrdf = material_of(maps)
+    svbrdf = material_of(maps) if reference else material_of(maps, 256, encoding, normal)
     found: dict[str, Any]
     if reference is not None:
-        found = (map_rmse(svbrdf, material_of(reference)) if reference.startswith("builtin:")
-                 else evaluate_maps(svbrdf, reference))
+        found = (map_rmse(svbrdf, material_of(reference, 256, encoding, normal))
+                 if reference.startswith("builtin:")
+                 else evaluate_maps(svbrdf, reference, *read_as(encoding, normal)))
         print_numbers("Map RMSE", found)
     elif capture is not None:
         fit = fit_of_maps(maps)

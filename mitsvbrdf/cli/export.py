@@ -15,6 +15,7 @@ from ..export.textures import Bits, Export, ExportSettings, Naming, NormalConven
 from ..io import images, results
 from ..io.progress import say
 from .options import (
+    MapEncoding,
     Material,
     Overwrite,
     Strict,
@@ -35,6 +36,7 @@ SMALLEST, LARGEST = 1e-3, 1e6  # side of a patch, centimetres
 def export(
     maps: Positional[Material],
     to: Annotated[str, arg(metavar="FORMAT,...", help=f"Any of {', '.join(FORMATS)}.")] = ",".join(FORMATS),
+    encoding: MapEncoding = (),
     naming: Annotated[Naming, arg(help="File names of the maps format.")] = "own",
     normal: Annotated[NormalConvention, arg(
         help="Normals of the maps format: gl is +Y up, dx +Y down.")] = "gl",
@@ -70,7 +72,7 @@ def export(
     if builtin and out is None:
         raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
     out = out or folder_inside(Path(maps), "export")
-    svbrdf, fit = material_of(maps), fit_of_maps(maps)
+    svbrdf, fit = material_of(maps, 256, encoding), fit_of_maps(maps)
     side = side_cm / 100 if side_cm is not None else fit.side_metres
     keep_apart_from_maps(maps, out)
     if tile:

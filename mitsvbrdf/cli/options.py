@@ -12,7 +12,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
-from tyro.conf import arg
+from tyro.conf import UseAppendAction, arg
 
 from ..color import Transfer
 from ..errors import ConfigError, OutputError
@@ -31,6 +31,12 @@ Overwrite = Annotated[bool, arg(help="Replace earlier results, also export/ and 
 JsonFile = Annotated[Path | None, arg(name="json", help="Write all figures to this file.")]
 Reference = Annotated[str | None, arg(help="Known maps: a folder or builtin:NAME.")]
 # Commands with this parameter run inside errors.strict: see cli.command.
+# How the files of --reference are read, and those of MAPS in a command without it.
+MapEncoding = UseAppendAction[Annotated[tuple[str, ...], arg(metavar="NAME=CODE", help=(
+    "Encoding of known maps, if they do not state it: linear, srgb or gamma2.2 for each map, or one for all; "
+    "normal=dx or normal=gl. May be repeated."))]]
+MapNormal = Annotated[Literal["auto", "gl", "dx"], arg(help=(
+    "Normals of known maps. dx: DirectX, +Y down. auto: as stated, else found from the slopes."))]
 Strict = Annotated[bool, arg(help="Refuse damaged photos and maps. Default: mend them with a warning.")]
 Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], arg(help="Mitsuba variant.")]
 ViewList = Annotated[str | None, arg(metavar="0,1,2,...", help="Numbers of photos to use. Default: all.")]
@@ -157,14 +163,22 @@ def read_photos(capture: Path, resolution: int, views: str | None, transfer: Tra
     return shots
 
 
-def material_of(name: str, resolution: int = 256) -> SVBRDF:
+def material_of(name: str, resolution: int = 256, encoding: MapEncoding = (),
+                normal: MapNormal = "auto") -> SVBRDF:
     """Maps from a folder, or ``builtin:NAME`` made at this resolution."""
     from ..material.made import make_material
     from ..material.map_files import load_maps
 
     if name.startswith("builtin:"):
+        if encoding or normal != "auto":
+            raise ConfigError("files beside --encoding or --normal", name, "leave these options out")
         return make_material(name.removeprefix("builtin:"), resolution)
-    return load_maps(name)
+    return load_maps(name, None, *read_as(encoding, normal))
+
+
+def read_as(encoding: MapEncoding, normal: MapNormal) -> tuple[str | None, Literal["gl", "dx"] | None]:
+    """``encoding`` and ``normal`` of :func:`~mitsvbrdf.material.map_files.load_maps`, of the options."""
+    return ",".join(encoding) or None, None if normal == "auto" else normal
 
 
 def views_of(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views]:

@@ -15,6 +15,8 @@ from ..io.files import file_hash
 from ..io.progress import progress_bar, say
 from ..io.signals import stop_signals
 from .options import (
+    MapEncoding,
+    MapNormal,
     Material,
     Overwrite,
     Strict,
@@ -36,7 +38,7 @@ MOVIES = ("mp4", "gif")
 
 
 def relight(
-    maps: Positional[Material],
+    maps: Positional[Material], encoding: MapEncoding = (), normal: MapNormal = "auto",
     preset: Annotated[str, arg(
         metavar="PRESET,...", help="sphere, shaderball, novel, sweep, turntable; or all.")] = "sphere",
     environment: Annotated[str | None, arg(
@@ -88,7 +90,7 @@ def relight(
     if builtin and out is None and not explain:
         raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
     out = out or folder_inside(Path(maps), "relight")
-    svbrdf, fit = material_of(maps), fit_of_maps(maps)
+    svbrdf, fit = material_of(maps, 256, encoding, normal), fit_of_maps(maps)
     with using_mitsuba(variant) as mi:
         stages = [make_stage(mi, svbrdf, each, environment=environment, size=pixels, frames=frames,
                              tiling=tiling, views=fit.known_views) for each in chosen]

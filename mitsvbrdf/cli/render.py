@@ -16,6 +16,8 @@ from ..material.maps import SVBRDF
 from ..render import RendererName, make_renderer
 from .options import (
     FalloffOption,
+    MapEncoding,
+    MapNormal,
     Material,
     Out,
     Overwrite,
@@ -34,6 +36,7 @@ from .options import (
 
 def render(
     maps: Positional[Material], out: Out, views: ViewSource = "builtin:grid",
+    encoding: MapEncoding = (), normal: MapNormal = "auto",
     renderer: RendererName = "mitsuba",
     falloff: Annotated[FalloffOption, arg(help="Falloff of the light. auto: as in the fit.")] = "auto",
     transfer: Annotated[TransferOption,
@@ -49,7 +52,7 @@ def render(
 
     keep_apart(Path(views), out)
     keep_apart_from_maps(maps, out)
-    svbrdf, fit = material_of(maps), fit_of_maps(maps)
+    svbrdf, fit = material_of(maps, 256, encoding, normal), fit_of_maps(maps)
     if diffuse == "guessed":
         svbrdf = _with_guessed_diffuse(svbrdf, Path(maps))
     names, lit = views_of(views, fit.falloff if falloff == "auto" else falloff, fit)

@@ -15,11 +15,14 @@ from ..errors import ConfigError
 from ..fit.config import check_seed
 from ..io import results
 from ..io.progress import say
+from ..material.maps import SVBRDF
 from ..render import Renderer, RendererName, make_renderer
 from ..synth import photograph
 from ..synth.phone import HandheldPhone, Spoil
 from ..synth.photos import write_handheld
 from .options import (
+    MapEncoding,
+    MapNormal,
     Material,
     Out,
     Overwrite,
@@ -44,7 +47,7 @@ def synth(
     spoil: Annotated[str, arg(metavar="KIND,KIND,...", help=(
         "With --handheld: add photos of the kinds blurred, finger, noflash, duplicate, rotated, unrelated."))
         ] = "",
-    views: ViewSource = "builtin:grid",
+    encoding: MapEncoding = (), normal: MapNormal = "auto", views: ViewSource = "builtin:grid",
     resolution: Annotated[int | None, arg(help=(
         "Side of the photos in pixels; with --handheld side of builtin maps. Default: 256; with "
         "--handheld 1024."))] = None,
@@ -68,22 +71,25 @@ def synth(
             raise ConfigError("options of the phone beside --handheld", ", ".join(given),
                               "leave these out; --grain is the phone's noise")
         resolution = MADE_SIDE if resolution is None else resolution
-        return _handheld(material, out, phone, spoil, resolution, variant, overwrite)
+        phone.check()
+        svbrdf = material_of(material, MADE_SIDE if resolution is None else resolution, encoding, normal)
+        return _handheld(svbrdf, name_of(material), out, phone, spoil, variant, overwrite)
     given = [f"--{f.name.replace('_', '-')}" for f in fields(phone)
              if getattr(phone, f.name) != f.default and f.name != "seed"] + ["--spoil"] * bool(spoil)
     if given:
         raise ConfigError("--handheld beside options of the phone", ", ".join(given),
                           "add --handheld, or leave these out")
-    return _rectified(material, out, views, RECTIFIED_SIDE if resolution is None else resolution, noise,
-                      phone.seed, make_renderer(renderer, variant), transfer, overwrite)
-
-
-def _rectified(material: str, out: Path, views: str, resolution: int, noise: float, seed: int,
-               renderer: Renderer, transfer: color.Transfer, overwrite: bool) -> int:
     if not 0 <= noise <= 1:
         raise ConfigError("--noise from 0 to 1", str(noise), "give the standard deviation, e.g. 0.003")
     keep_apart(Path(views), out)
-    svbrdf, (names, lit) = material_of(material, resolution), views_of(views, "inverse-square")
+    resolution = RECTIFIED_SIDE if resolution is None else resolution
+    return _rectified(material_of(material, resolution, encoding, normal), out, views, resolution, noise,
+                      phone.seed, make_renderer(renderer, variant), transfer, overwrite)
+
+
+def _rectified(svbrdf: SVBRDF, out: Path, views: str, resolution: int, noise: float, seed: int,
+               renderer: Renderer, transfer: color.Transfer, overwrite: bool) -> int:
+    names, lit = views_of(views, "inverse-square")
     if svbrdf.resolution < resolution:
         say(f"the maps have {svbrdf.resolution} px, so have the photos")
     svbrdf = svbrdf.resized(min(resolution, svbrdf.resolution))
@@ -93,12 +99,10 @@ def _rectified(material: str, out: Path, views: str, resolution: int, noise: flo
     return 0
 
 
-def _handheld(material: str, out: Path, phone: HandheldPhone, spoil: str, resolution: int, variant: str,
+def _handheld(svbrdf: SVBRDF, name: str, out: Path, phone: HandheldPhone, spoil: str, variant: str,
               overwrite: bool) -> int:
     from ..synth.traced import HandheldRenderer
 
-    phone.check()
-    svbrdf = material_of(material, resolution)
     kinds = cast(tuple[Spoil, ...], tuple(kind.strip() for kind in spoil.split(",") if kind.strip()))
 
     def report(done: int, count: int) -> None:
@@ -107,7 +111,7 @@ def _handheld(material: str, out: Path, phone: HandheldPhone, spoil: str, resolu
 
     with results.output_folder(out, overwrite) as folder:
         truth = write_handheld(svbrdf, phone, functools.partial(HandheldRenderer, variant=variant), folder,
-                               kinds, material=name_of(material), report=report)
+                               kinds, material=name, report=report)
     sheet = f" with the sheet of {phone.sheet:g} cm" if phone.sheet else ""
     say(f"wrote {len(truth['rig']['poses'])} photos{sheet} to {out}, and what is true of them to {out}/truth")
     return 0

@@ -9,6 +9,7 @@ from ..capture import Capture
 from ..errors import ConfigError
 from ..fit.result import Fit
 from ..io.entry import entry
+from ..material.encoding import NormalConvention
 from ..material.map_files import encodings, load_maps
 from ..material.maps import SVBRDF
 from ..measure.metrics import map_rmse
@@ -19,14 +20,21 @@ from .placement import placed
 
 
 @entry()
-def evaluate_maps(svbrdf: SVBRDF, material: str | Path) -> dict[str, float]:
+def evaluate_maps(svbrdf: SVBRDF, material: str | Path, encoding: str | None = None,
+                  normal: NormalConvention | None = None) -> dict[str, float]:
     """RMSE of each map against a folder of known maps (:func:`mitsvbrdf.measure.metrics.map_rmse`).
+
+    Args:
+        svbrdf: the estimate.
+        material: the folder.
+        encoding: of its files, as ``load_maps`` has it.
+        normal: the convention of its normals, likewise.
 
     Returns:
         ``diffuse``, ``specular``, ``roughness``, ``normal`` and their ``mean``.
     """
-    encoded = encodings(material).get("roughness", "linear").replace(" ", "") == "gamma2.2"
-    return map_rmse(svbrdf, load_maps(material), "gamma 2.2" if encoded else "linear")
+    encoded = encodings(material, encoding)["roughness"] == "gamma 2.2"
+    return map_rmse(svbrdf, load_maps(material, None, encoding, normal), "gamma 2.2" if encoded else "linear")
 
 
 @entry()

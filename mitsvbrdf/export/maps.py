@@ -9,36 +9,15 @@ from pathlib import Path
 import torch
 
 from ..io import files
-from ..material.conversion import as_shown, layered
-from ..material.map_files import ENCODINGS
+from ..material.conversion import FULL_LEVEL, as_shown, layered
+from ..material.encoding import ENCODINGS
 from ..material.maps import DIELECTRIC_F0, SVBRDF
+from ..material.naming import FILE_NAMES
 from ..material.relief import heights, occlusion
 from .residual import residual
 from .textures import DEFAULTS, NORMALS, Export, ExportSettings, write_texture
 
-# File name of each map; NAME stands for the material's. "own" has both parameter sets; with OpenGL normals
-# load_maps reads it.
-FILE_NAMES: dict[str, dict[str, str]] = {
-    "own": {"diffuse": "diffuse", "specular": "specular", "base_color": "base_color", "metallic": "metallic",
-            "roughness": "roughness", "normal gl": "normal", "normal dx": "normal_dx",
-            "specular_level": "specular_level", "height": "height", "occlusion": "occlusion",
-            "packed": "occlusion_roughness_metallic"},
-    "polyhaven": {"base_color": "NAME_diff", "metallic": "NAME_metal", "roughness": "NAME_rough",
-                  "normal gl": "NAME_nor_gl", "normal dx": "NAME_nor_dx", "specular_level": "NAME_spec",
-                  "height": "NAME_disp", "occlusion": "NAME_ao", "packed": "NAME_arm"},
-    "ambientcg": {"base_color": "NAME_Color", "metallic": "NAME_Metalness", "roughness": "NAME_Roughness",
-                  "normal gl": "NAME_NormalGL", "normal dx": "NAME_NormalDX",
-                  "specular_level": "NAME_Specular", "height": "NAME_Displacement",
-                  "occlusion": "NAME_AmbientOcclusion"},
-    "substance": {"base_color": "NAME_BaseColor", "metallic": "NAME_Metallic", "roughness": "NAME_Roughness",
-                  "normal gl": "NAME_Normal_OpenGL", "normal dx": "NAME_Normal_DirectX",
-                  "specular_level": "NAME_SpecularLevel", "height": "NAME_Height",
-                  "occlusion": "NAME_AmbientOcclusion", "packed": "NAME_ORM"},
-    "materialgan": {"diffuse": "dif", "specular": "spe", "roughness": "rgh", "normal gl": "nom",
-                    "normal dx": "nom_dx"},
-}
 LONGEST = 100  # letters of a material's name in file names; more would not fit every file system
-FULL_LEVEL = 0.08  # F0 of specular level 1, in Blender, Unreal and Substance; 0.5 is 0.04
 LOSSY_NOTE = ("metallic is 0 or 1: base colour is F0 of metals, and of all else diffuse / (1 - F0), for most "
               "programs lay the highlight over the diffuse light; the specular level (Blender's Specular IOR "
               "Level, F0 = 0.08 times it) has F0 up to 0.08")

@@ -12,11 +12,11 @@ from torch import Tensor
 from .. import __version__, color
 from ..io import files, images
 from ..kinds import check_fields
+from ..material.encoding import NormalConvention
 from ..material.maps import COLOURS
 
 Bits = Literal[8, 16]
 Naming = Literal["own", "polyhaven", "ambientcg", "substance", "materialgan"]
-NormalConvention = Literal["gl", "dx"]
 
 SRGB, LINEAR = "sRGB", "linear"
 NORMALS = {"gl": "OpenGL, +Y up, (n + 1) / 2", "dx": "DirectX, +Y down, (n + 1) / 2"}

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 from ..errors import ConfigError
-from ..material.map_files import ENCODINGS, read_map, read_material_json
+from ..material.map_set import read_file
 from ..material.maps import CHANNELS, SVBRDF, Bsdf, flat
 
 # what half a step of an 8-bit file is read as; a mirror of roughness 0 shows no light at a point
@@ -125,8 +125,7 @@ def _tensor(name: str, value: str, bsdf: Bsdf, resolution: int) -> Tensor:
     if not os.path.isfile(value):  # unlike Path.is_file, False for a name the system refuses
         raise ConfigError(f"a number or an image file for {name}", f"{value!r}, which is neither",
                           "check the path")
-    codes = ENCODINGS["gamma 2.2"] | read_material_json(Path(value).parent).get("encoding", {})
-    image = read_map(Path(value), name, channels, codes)
+    image = read_file(Path(value), name, channels)
     # Checked and resized as a part of a material, so that both are done as for any other map.
     others: Mapping[str, Tensor] = flat(image.shape[0], bsdf).maps
     return SVBRDF(bsdf, dict(others) | {name: image}).check().resized(resolution)[name].contiguous()

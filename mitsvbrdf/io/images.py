@@ -14,7 +14,8 @@ import torch
 from torch import Tensor
 
 from ..errors import MitsvbrdfError
-from .decode import check_size, decoded, header, upright
+from .decode import decoded, header, upright
+from .exr import read_exr
 from .files import atomic_write, write_bytes
 
 BAND = 2**22  # pixels that are averaged at a time
@@ -23,14 +24,15 @@ BAND = 2**22  # pixels that are averaged at a time
 def read_image(path: Path, error: type[MitsvbrdfError]) -> Tensor:
     """An image file as float32 H x W x C, row 0 at the top, RGB order, turned as its EXIF says.
 
-    8- and 16-bit files give display values in [0, 1]; EXR files give what they hold. Alpha is dropped.
+    8- and 16-bit files give display values in [0, 1]; EXR files give what they hold, of one, two or three
+    channels (:mod:`mitsvbrdf.io.exr`). Alpha is dropped.
 
     A missing or unreadable file raises ``error``. A damaged JPEG warns: see
     :func:`~mitsvbrdf.io.decode.decoded`.
     """
     path = Path(path)
     if path.suffix.lower() == ".exr":
-        return _read_exr(path, error)
+        return torch.from_numpy(read_exr(path, error))
     about = header(path, error)
     return torch.from_numpy(display(upright(decoded(path, error), about.orientation)))
 
@@ -60,34 +62,6 @@ def averaged(pixels: np.ndarray, side: int) -> np.ndarray:
         begin, end = first * side // height, (first + len(band)) * side // height
         out[begin:end] = cv2.resize(band, (side, end - begin), interpolation=cv2.INTER_AREA)
     return out
-
-
-def _read_exr(path: Path, error: type[MitsvbrdfError]) -> Tensor:
-    import OpenEXR
-
-    if not path.is_file():
-        raise error("an image file", f"no file at {path}", "check the name")
-    try:
-        parts = OpenEXR.File(str(path), header_only=True).parts
-        kinds = [str(part.header["type"]) for part in parts]
-        if len(parts) > 1 or "deep" in kinds[0].lower():
-            raise error("an EXR of one flat picture", f"{path} of {len(parts)} parts ({', '.join(kinds)})",
-                        "export it flat")
-        check_size(path, (parts[0].width(), parts[0].height()), error)
-        channels = OpenEXR.File(str(path)).channels()
-    except MitsvbrdfError:
-        raise
-    except Exception as reason:  # OpenEXR raises plain RuntimeError and others
-        raise error("a readable EXR file", f"{path}: {reason}", "export it again") from None
-    for name in ("RGB", "RGBA"):
-        if name in channels:
-            return torch.from_numpy(np.array(channels[name].pixels[..., :3], dtype=np.float32))
-    if all(c in channels for c in "RGB"):
-        return torch.from_numpy(np.stack([channels[c].pixels for c in "RGB"], axis=-1).astype(np.float32))
-    if len(channels) == 1:
-        (channel,) = channels.values()
-        return torch.from_numpy(np.array(channel.pixels, dtype=np.float32)[..., None])
-    raise error("an EXR with R, G, B or one channel", f"{path} with {sorted(channels)}", "export it again")
 
 
 def write_exr(path: Path, image: Tensor) -> None:

@@ -15,6 +15,7 @@ from .maps import DIELECTRIC_F0, SVBRDF
 # strongest channel).
 METAL_F0 = 0.25
 DIELECTRICS = 0.02, 0.17  # F0 of water and of diamond
+FULL_LEVEL = 0.08  # F0 of specular level 1, in Blender, Unreal and Substance; 0.5 is 0.04
 # largest diffuse colour of a metal, as a share of its F0: a bare metal has none, a fit leaves a little
 METAL_DIFFUSE = 0.25
 

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from .. import color
 from ..errors import BackendError, CaptureError, ConfigError, MapsError
-from ..material.map_files import ENCODINGS
+from ..material.encoding import ENCODINGS
 from ..material.maps import SVBRDF
 
 # Pixels darker than this share of the reference's mean are compared against the share instead of their own

@@ -21,6 +21,7 @@ from torch import Tensor
 
 from ..errors import ConfigError
 from ..io import images
+from ..io.decode import check_size
 from .scene_file import read_scene
 
 ENVIRONMENTS = ("studio", "sunsky", "none")  # softboxes in a grey room, a clear afternoon, a single light
@@ -91,6 +92,8 @@ def read_environment(path: str | Path) -> Tensor:
         raise ConfigError(f"an environment of {', '.join(ENVIRONMENTS)}, or an .exr or .hdr file",
                           repr(str(path)), "choose one of these")
     image = images.read_image(path, ConfigError) if path.suffix.lower() == ".exr" else _read_hdr(path)
+    if image.shape[2] == 2:
+        raise ConfigError("an environment with R, G, B or one channel", f"{path} with two", "export it again")
     image = image.expand(*image.shape[:2], 3)
     if image.shape[0] < 3 or image.shape[1] < 2:
         raise ConfigError("an environment of 2 x 3 pixels or more",
@@ -111,7 +114,7 @@ def _read_hdr(path: Path) -> Tensor:
         raise ConfigError("an image file", f"no file at {path}", "check the name")
     data = path.read_bytes()
     if size := re.search(rb"^-Y (\d{1,12}) \+X (\d{1,12})$", data[:HDR_HEADER], re.MULTILINE):
-        images.check_size(path, (int(size[2]), int(size[1])), ConfigError)
+        check_size(path, (int(size[2]), int(size[1])), ConfigError)
     # OpenCV would read other formats as well.
     image = (cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR) if size
              else None)

@@ -10,11 +10,11 @@ import torch
 from helpers.exported import decoded, stated
 
 from mitsvbrdf.export import ExportSettings, export_material
-from mitsvbrdf.export.maps import FILE_NAMES
 from mitsvbrdf.material.conversion import as_principled
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.material.maps import SVBRDF, flat
+from mitsvbrdf.material.naming import FILE_NAMES
 from mitsvbrdf.material.relief import heights
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.views import Views

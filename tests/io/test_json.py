@@ -12,7 +12,7 @@ from mitsvbrdf.errors import CaptureError, MitsvbrdfError
 from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.io import json as io_json
 from mitsvbrdf.io.json import NUMBER, load, parsed, read_json, shape_error
-from mitsvbrdf.material.map_files import read_material_json
+from mitsvbrdf.material.encoding import read_material_json
 from mitsvbrdf.relight.frames import go_on
 
 WRONG = {

@@ -1,0 +1,86 @@
+"""How files of maps are encoded, as ``material.json`` or the user states, and as each library has it."""
+
+from __future__ import annotations
+
+import re
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Literal
+
+from ..errors import ConfigError, MapsError
+from ..io.json import error_text, load
+from .maps import CHANNELS, COLOURS, TITLES
+from .naming import KINDS
+
+NormalConvention = Literal["gl", "dx"]
+
+# How the fields' files are encoded, by the names that material.json and --encoding use.
+ENCODINGS: dict[str, dict[str, str]] = {
+    "linear": dict.fromkeys(("diffuse", "specular", "roughness", "base_color", "metallic"), "linear"),
+    "gamma 2.2": dict.fromkeys(("diffuse", "specular", "roughness", "base_color"), "gamma 2.2")
+    | {"metallic": "linear"},
+    "srgb": dict.fromkeys(COLOURS, "srgb") | {"roughness": "linear", "metallic": "linear"},
+}
+# Other words for them, without spaces and signs: those of Blender, MaterialX, Unreal, glTF.
+_SPELLINGS = {"gamma22": "gamma 2.2", "22": "gamma 2.2", "srgb": "srgb", "srgbtexture": "srgb",
+              "srgbrec709scene": "srgb", "linear": "linear", "raw": "linear", "noncolor": "linear",
+              "noncolour": "linear", "data": "linear", "linrec709": "linear", "linrec709scene": "linear",
+              "none": "linear"}
+_CONVENTIONS = {"dx": r"\bdx\b|directx|d3d|[+]?\s*y\s*down|-\s*y", "gl": r"\bgl\b|opengl|[+]\s*y|y\s*up"}
+
+
+def read_material_json(folder: Path) -> dict:
+    """What ``material.json`` in a folder says, or an empty dict where there is none.
+
+    Its ``encoding`` has our names of maps and encodings, and ``gl`` or ``dx`` for normals.
+    """
+    path = Path(folder) / "material.json"
+    if not path.is_file():
+        return {}
+    try:
+        stated = load(path)
+        if misspelt := [key for key in stated if key not in ("bsdf", "encoding")
+                        and get_close_matches(key.lower(), ("bsdf", "encoding"), cutoff=0.8)]:
+            raise ValueError(f"no {misspelt[0]!r}, but bsdf and encoding are known")
+        if stated.get("bsdf", "principled") not in list(CHANNELS):
+            raise ValueError(f"its bsdf is none of {list(CHANNELS)}")
+        codes = stated.get("encoding", {})
+        if not isinstance(codes, dict) or not all(isinstance(code, str) for code in codes.values()):
+            raise ValueError("its encoding is no object of texts")
+        return stated | {"encoding": dict(_code(*item) for item in codes.items())}
+    except (OSError, ValueError) as reason:
+        raise MapsError("a valid material.json", f"{path}: {error_text(reason)}",
+                        "mend it, or delete it for the habit of the names") from None
+
+
+def asked_codes(encoding: str | None, normal: NormalConvention | None) -> dict[str, str]:
+    """Encodings by map, of ``linear`` for all, or of ``roughness=linear,normal=dx``."""
+    asked: dict[str, str] = {}
+    try:
+        for item in (encoding or "").split(",") if encoding is not None else []:
+            name, sign, code = item.rpartition("=")
+            asked |= dict([_code(name, code)] if sign else ENCODINGS[_code("diffuse", code)[1]])
+    except ValueError as reason:
+        raise ConfigError("--encoding CODE or NAME=CODE,...", f"{encoding!r}: {reason}",
+                          "e.g. --encoding roughness=linear") from None
+    if normal is not None and asked.get("normal", normal) != normal:
+        raise ConfigError("normals of one convention", f"{encoding} and --normal {normal}", "give one")
+    return asked | ({"normal": normal} if normal else {})
+
+
+def _code(name: str, code: str) -> tuple[str, str]:
+    """A map and its encoding in our words; ValueError for other words."""
+    squeezed = re.sub(r"[^a-z0-9]", "", name.lower())
+    known = name if name in TITLES else KINDS.get(squeezed, "").partition(" ")[0]
+    if known not in TITLES:
+        raise ValueError(f"encoding.{name} is no map of {', '.join(TITLES)}")
+    if known == "normal":
+        if conventions := [key for key, mark in _CONVENTIONS.items() if re.search(mark, code.lower())]:
+            return known, conventions[0]
+        if re.search(r"n\s*\+\s*1|linear|raw|data|non", code.lower()):
+            return known, ""
+        raise ValueError(f"encoding.{name} is {code!r}, neither OpenGL (gl) nor DirectX (dx)")
+    found = _SPELLINGS.get(re.sub(r"[^a-z0-9]", "", code.lower()))
+    if found is None:
+        raise ValueError(f"encoding.{name} is {code!r}, none of {', '.join(ENCODINGS)}")
+    return known, found

@@ -1,0 +1,261 @@
+"""The files of a material, found and read: from folders by their names, each file as its encoding says."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .. import color
+from ..errors import AssumedWarning, MapsError, MapsWarning
+from ..io import images
+from .conversion import FULL_LEVEL, as_shown
+from .encoding import ENCODINGS, NormalConvention, asked_codes, read_material_json
+from .maps import CHANNELS, SVBRDF, Bsdf
+from .naming import FIELD, Source, is_of_field, kind_of, sources
+from .normals import unit_normals
+from .resample import resized
+
+LEAST_ROUGHNESS = 1 / 512  # half a step of 8 bits: what the writer of a roughness of 0 rounded away at most
+RINGING = 0.05  # how far lossy coders of EXR leave [0, 1]
+TINT = 0.05  # mean difference of channels that no grey map has: several maps are packed in it
+LOWEST_F0 = 0.01  # half that of water
+USUAL_SIDE = 64  # texels of a material without a texture
+
+
+class MapSet(NamedTuple):
+    """The files of a material before they are read.
+
+    Args:
+        place: the folder or file they were found in.
+        sources: by map; ``f0`` is that of what is no metal.
+        stated: encodings by map, as the user or ``material.json`` states them.
+        habit: the encoding of all others, a key of ENCODINGS.
+        bsdf: what ``material.json`` says.
+        passed: names of what is not read.
+        strip: the strip that holds all maps.
+        taken: the share of light that the highlight takes from the diffuse; None: the F0.
+    """
+
+    place: Path
+    sources: Mapping[str, Source]
+    stated: Mapping[str, str]
+    habit: str = "srgb"
+    bsdf: Bsdf | None = None
+    passed: tuple[str, ...] = ()
+    strip: Path | None = None
+    taken: float | None = None
+
+    def code(self, name: str) -> str:
+        """The encoding of a map's 8- and 16-bit file, or the convention of normals."""
+        usual = ENCODINGS[self.habit].get(name, "" if name == "normal" else "linear")
+        return self.stated.get(name, usual)
+
+    def read(self, name: str, channels: int, source: Source | None = None) -> Tensor:
+        """A map, linear, H x W x channels; 1 x 1 of a constant."""
+        source = source or self.sources[name]
+        if source.path is None:
+            return torch.tensor(source.factor).expand(1, 1, channels)
+        value = read_map(source, name, channels, self.code(name))
+        return value if source.factor == (1.0,) else value * torch.tensor(source.factor)
+
+
+def find_maps(folder: Path, encoding: str | None = None, normal: NormalConvention | None = None) -> MapSet:
+    """The files of a folder of maps; see :func:`mitsvbrdf.material.map_files.load_maps`."""
+    asked = asked_codes(encoding, normal)
+    if (folder / "maps").is_dir():
+        folder = folder / "maps"
+    if not folder.is_dir():
+        raise MapsError("a folder of maps", f"no folder at {folder}",
+                        "give the folder that holds diffuse, specular, ...")
+    chosen, passed = sources(folder)
+    if not chosen and (folder / "textures").is_dir():
+        folder = folder / "textures"
+        chosen, passed = sources(folder)
+    about = read_material_json(folder)
+    strip = folder / "tex.png" if "diffuse" not in chosen and (folder / "tex.png").is_file() else None
+    habit = "gamma 2.2" if strip or is_of_field(chosen) else "srgb"
+    return MapSet(folder, chosen, about.get("encoding", {}) | asked, habit, about.get("bsdf"),
+                  tuple(path.name for path in passed if path != strip), strip)
+
+
+def read_set(found: MapSet, bsdf: Bsdf | None = None) -> SVBRDF:
+    """The material of a set, not checked yet; see :func:`mitsvbrdf.material.map_files.load_maps`."""
+    there, asked = dict(found.sources), bsdf or found.bsdf
+    if found.strip and asked != "principled":
+        return _from_strip(found, found.strip)
+    colour = there.get("base_color") or there.get("diffuse")
+    beside = {"diffuse", "specular", "base_color"} <= set(there)  # both parameter sets
+    if _has_lobes(found) or asked == "roughconductor" and beside:
+        there |= {"diffuse": there.get("diffuse", colour)} if colour else {}
+        return _read(found, there, asked or "roughconductor")
+    there |= {"base_color": colour} if colour else {}
+    there.setdefault("metallic", Source(None, factor=(0.0,)))
+    if level := there.get("specular_level") or there.get("specular"):
+        there.setdefault("f0", level._replace(factor=(FULL_LEVEL,)))
+    if "f0" not in there or beside or asked == "principled":
+        material = _read(found, there, "principled")
+        return material.as_roughconductor() if asked == "roughconductor" else material
+    return _read(found, there, "principled", "f0")
+
+
+def _has_lobes(found: MapSet) -> bool:
+    """Whether the maps are diffuse and specular colours; else they are base colour and metallic."""
+    there = found.sources
+    if {"base_color", "metallic"} <= set(there):
+        return False
+    if is_of_field(there) or not {"base_color", "diffuse"} & set(there):
+        return True
+    specular = there.get("specular")
+    if specular is None or specular.path is None or "metallic" in there:
+        return False
+    return there["roughness"].inverted if "roughness" in there else _tint(
+        images.read_image(specular.path, MapsError)) > TINT
+
+
+def _read(found: MapSet, there: Mapping[str, Source], bsdf: Bsdf, f0: str = "") -> SVBRDF:
+    """The maps of a parameter set; with ``f0`` those that a base colour shows beside it."""
+    channels = dict(CHANNELS[bsdf])
+    for name in channels:
+        if name not in there:
+            files = ", ".join([s.path.name for s in found.sources.values() if s.path] + [*found.passed])
+            raise MapsError(f"{name}.exr, {name}.png or {name}.jpg",
+                            f"none in {found.place}" + f" ({files})" * bool(files),
+                            f"a {bsdf} material needs {', '.join(CHANNELS[bsdf])}")
+    if f0:
+        channels[f0] = len(there[f0].factor)
+    read = {name: found.read(name, count, there[name]) for name, count in channels.items()}
+    maps = _of_one_size(found, read)
+    _say(found, {name: there[name] for name in channels}, maps)
+    if not f0:
+        return SVBRDF(bsdf, maps)
+    dielectric = maps.pop(f0).clamp(0, 1)
+    taken = dielectric.amax(dim=-1, keepdim=True) if found.taken is None else torch.tensor(found.taken)
+    return as_shown(SVBRDF(bsdf, maps), dielectric, taken)
+
+
+def _of_one_size(found: MapSet, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Square maps of one size: those of a document are brought to the largest, constants to all."""
+    sizes = {tuple(value.shape[:2]) for value in maps.values()} - {(1, 1)} or {(USUAL_SIDE, USUAL_SIDE)}
+    side = max(max(sizes))
+    if len(set().union(*sizes)) > 1 and not (found.place.is_file() and all(h == w for h, w in sizes)):
+        raise MapsError("square maps of one size", f"sizes {sorted(sizes)} in {found.place}",
+                        "resize them to one square size")
+    each = {name: value if value.shape[0] == side else resized(value, side) for name, value in maps.items()}
+    return each | {"normal": F.normalize(each["normal"], dim=-1) if len(sizes) > 1 else each["normal"]}
+
+
+def _say(found: MapSet, used: Mapping[str, Source], maps: Mapping[str, Tensor]) -> None:
+    """In one line what is assumed of a set, what is missing, and what is passed over."""
+    named = {name: source.path.name for name, source in used.items() if source.path}
+    coded = {name: found.code(name) for name, file in named.items()
+             if name != "normal" and name not in found.stated and not file.lower().endswith(".exr")}
+    said = []
+    if coded and found.habit == "gamma 2.2":
+        said.append(f"{', '.join(coded)} taken for gamma 2.2, as the field has these names")
+        f0 = float(maps["specular"].median())
+        if "specular" in coded and f0 < LOWEST_F0 < float(linear := color.encode(maps["specular"].median())):
+            said.append(f"an F0 of {f0:.2g} is below that of any material, as linear it is {linear:.2g}")
+    elif coded or found.place.is_file():
+        said.append("read " + ", ".join(f"{name} {file}" + (f" ({coded[name]})" if name in coded else "")
+                                        for name, file in named.items()))
+    if "f0" in used and used["f0"].factor == (FULL_LEVEL,):
+        said.append(f"F0 is {FULL_LEVEL:g} times the specular level")
+    if used.get("normal", Source(None)).convention == "dx" and "normal" not in found.stated:
+        said.append("normals are DirectX's by their name, and turned around")
+    missing = [name for name, source in used.items() if source.path is None and not found.place.is_file()]
+    said += [f"no {name} map, so it is 0" for name in missing]
+    if said and found.passed:
+        said.append(f"passed over {', '.join(found.passed)}")
+    if said:
+        ways = "; --encoding CODE or NAME=CODE,... (or material.json) overrules" if coded else ""
+        warnings.warn(f"{found.place}: {'; '.join(said)}{ways}", AssumedWarning, stacklevel=2)
+
+
+def read_file(path: Path, name: str, channels: int) -> Tensor:
+    """One map from a file of any name: as in a set of its own, with ``material.json`` beside it."""
+    kinds = kind_of(path.stem)
+    mark = kinds[-1].partition(" ")[2] if kinds else ""
+    channel = kinds.index(name) if len(kinds) > 1 and name in kinds else None
+    source = Source(path, channel, "glossiness" in kinds and name == "roughness", mark)
+    plain = not kinds or path.stem.lower() in FIELD.get(name, ())
+    found = MapSet(path.parent, {name: source}, read_material_json(path.parent).get("encoding", {}),
+                   "gamma 2.2" if plain else "srgb")
+    value = found.read(name, channels)
+    _say(found, found.sources, {name: value, "specular": value})
+    return value
+
+
+def read_map(source: Source, name: str, channels: int, code: str) -> Tensor:
+    """One map from its file, linear, H x W x ``channels``.
+
+    Args:
+        source: the file.
+        name: the map's.
+        channels: how many it has.
+        code: the encoding of a file of 8 or 16 bits; of normals ``gl``, ``dx`` or empty.
+
+    Raises:
+        MapsError: no image, or one that is not finite, or that is no such map.
+    """
+    assert source.path is not None
+    path, exr = source.path, source.path.suffix.lower() == ".exr"
+    image = images.read_image(path, MapsError)
+    if not torch.isfinite(image).all():
+        raise MapsError("finite values", f"NaN or infinity in {path}", "mend or re-export the map")
+    if name == "normal":
+        return unit_normals(image, path, code or source.convention)
+    if image.shape[2] == 2 or source.channel is not None and image.shape[2] != 3:
+        raise MapsError(f"{name} in 1 or 3 channels", f"{path} with {image.shape[2]}", "export it as RGB")
+    if source.channel is not None:
+        image = image[..., source.channel:source.channel + 1].contiguous()
+    elif channels == 1 and (tint := _tint(image)) > TINT:
+        raise MapsError(f"{name} in grey", f"{path} in colours that differ by {tint:.2g}",
+                        "give the grey map, or name a packed one for its channels, as in NAME_orm.png")
+    if image.shape[2] != channels:
+        image = image.mean(dim=2, keepdim=True).expand(*image.shape[:2], channels)
+    if not exr:
+        image = color.decode(image, code.replace(" ", ""))  # type: ignore[arg-type]
+    image = 1 - image if source.inverted else image
+    low = float(image.min())
+    image = _without_ringing(image, path) if exr else image
+    # 8-bit files can hold a roughness of exactly 0: half a step up is what the writer rounded away at most.
+    # So does ringing.
+    mirror = name == "roughness" and (not exr or low < 0)
+    return image.clamp_min(LEAST_ROUGHNESS) if mirror else image
+
+
+def _tint(image: Tensor) -> float:
+    return float((image.amax(dim=2) - image.amin(dim=2)).mean())
+
+
+def _without_ringing(image: Tensor, path: Path) -> Tensor:
+    """Values of an EXR slightly outside of [0, 1], as lossy coders leave them, cut with a word."""
+    low, high = float(image.min()), float(image.max())
+    if 0 <= low and high <= 1 or not -RINGING <= low or not high <= 1 + RINGING:
+        return image
+    count = int(((image < 0) | (image > 1)).sum())
+    warnings.warn(f"{path}: {count} of {image.numel()} values are slightly outside of [0, 1] ({low:.3g} to "
+                  f"{high:.3g}), as lossy coders leave them; cut", MapsWarning, stacklevel=2)
+    return image.clamp(0, 1)
+
+
+def _from_strip(found: MapSet, path: Path) -> SVBRDF:
+    strip = images.read_image(path, MapsError)
+    side = strip.shape[0]
+    if strip.shape[1] != 4 * side:
+        raise MapsError("a strip of four square maps", f"{path} of {strip.shape[1]} x {side}",
+                        "give diffuse, normal, roughness, specular side by side")
+    names = "diffuse", "normal", "roughness", "specular"
+    maps = dict(zip(names, strip.split(side, dim=1)))
+    for name in ("diffuse", "specular", "roughness"):
+        maps[name] = color.decode(maps[name], found.code(name).replace(" ", ""))  # type: ignore[arg-type]
+    maps["roughness"] = maps["roughness"].mean(dim=2, keepdim=True).clamp_min(LEAST_ROUGHNESS)
+    maps["normal"] = unit_normals(maps["normal"], path, found.code("normal"))
+    _say(found, {name: Source(path) for name in names}, maps)
+    return SVBRDF("roughconductor", maps)

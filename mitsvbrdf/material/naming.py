@@ -1,0 +1,164 @@
+"""Which file of a folder is which map: names as libraries of textures, programs and the field give them."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import NamedTuple
+
+from ..errors import MapsError
+
+# File name of each map as `export` writes it; NAME stands for the material's. "own" has both parameter sets.
+FILE_NAMES: dict[str, dict[str, str]] = {
+    "own": {"diffuse": "diffuse", "specular": "specular", "base_color": "base_color", "metallic": "metallic",
+            "roughness": "roughness", "normal gl": "normal", "normal dx": "normal_dx",
+            "specular_level": "specular_level", "height": "height", "occlusion": "occlusion",
+            "packed": "occlusion_roughness_metallic"},
+    "polyhaven": {"base_color": "NAME_diff", "metallic": "NAME_metal", "roughness": "NAME_rough",
+                  "normal gl": "NAME_nor_gl", "normal dx": "NAME_nor_dx", "specular_level": "NAME_spec",
+                  "height": "NAME_disp", "occlusion": "NAME_ao", "packed": "NAME_arm"},
+    "ambientcg": {"base_color": "NAME_Color", "metallic": "NAME_Metalness", "roughness": "NAME_Roughness",
+                  "normal gl": "NAME_NormalGL", "normal dx": "NAME_NormalDX",
+                  "specular_level": "NAME_Specular", "height": "NAME_Displacement",
+                  "occlusion": "NAME_AmbientOcclusion"},
+    "substance": {"base_color": "NAME_BaseColor", "metallic": "NAME_Metallic", "roughness": "NAME_Roughness",
+                  "normal gl": "NAME_Normal_OpenGL", "normal dx": "NAME_Normal_DirectX",
+                  "specular_level": "NAME_SpecularLevel", "height": "NAME_Height",
+                  "occlusion": "NAME_AmbientOcclusion", "packed": "NAME_ORM"},
+    "materialgan": {"diffuse": "dif", "specular": "spe", "roughness": "rgh", "normal gl": "nom",
+                    "normal dx": "nom_dx"},
+}
+
+# The field's names. Their 8-bit files have gamma 2.2 where nothing else is stated.
+FIELD = {"diffuse": ("diffuse", "dif"), "specular": ("specular", "spe"), "roughness": ("roughness", "rgh"),
+         "normal": ("normal", "nom", "normal_dx", "nom_dx")}
+# Of images, the best first.
+SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".tga", ".bmp", ".hdr")
+
+_WORDS = {
+    "diffuse": "diffuse dif diff diffusecolor",
+    "base_color": "basecolor basecolour albedo alb color colour col basecol basemap",
+    "specular": "specular spec spe spc f0 specularcolor specularcolour",
+    "specular_level": "specularlevel speclevel",
+    "roughness": "roughness rough rgh", "glossiness": "glossiness gloss smoothness",
+    "metallic": "metallic metalness metal metl mtl met",
+    "normal": "normal normals nor nom nrm nrml norm normalmap",
+    "occlusion": "occlusion ambientocclusion ao occ",
+    "height": "height heightmap displacement disp displace dsp bump bumpmap",
+    "other": "opacity alpha mask emissive emission emit transmission translucency translucent thickness "
+             "anisotropy anisotropic anisotropyangle sheen coat clearcoat subsurface scattering sss detail "
+             "cavity curvature position id ior preview thumb thumbnail render sphere opacitymask maskmap",
+}
+_CONVENTIONS = {"gl": ("gl", "opengl", "ogl"), "dx": ("dx", "directx", "d3d")}
+KINDS = {word: kind for kind, words in _WORDS.items() for word in words.split()} | {
+    join: f"normal {convention}" for convention, marks in _CONVENTIONS.items() for mark in marks
+    for normal in _WORDS["normal"].split() for join in (normal + mark, mark + normal)}
+# Channels of packed maps by the letters of their names. glTF's metallicRoughness has them in G and B.
+_LETTERS = {"o": "occlusion", "a": "occlusion", "r": "roughness", "m": "metallic"}
+PACKED = {word: tuple(_LETTERS[letter] for letter in word)
+          for word in ("arm", "orm", "rma", "rmo", "mra", "mro", "ram", "rom", "mar", "mor", "amr", "omr")}
+SIZES = re.compile(r"(?i)(?<![a-z0-9])(\d{1,2}k|\d{3,4}(x\d{3,4})?|jpe?g|png|exr|tiff?)(?![a-z0-9])")
+GLTF_PACKED = "other", "roughness", "metallic"
+
+
+class Source(NamedTuple):
+    """Where a map comes from.
+
+    Args:
+        path: an image file; None: ``factor`` is all.
+        channel: which of its channels, of a packed map.
+        inverted: whether it holds one minus the map, as gloss does.
+        convention: of normals, where the name states it: ``gl`` or ``dx``.
+        factor: on the linear map, one for all channels or one each.
+    """
+
+    path: Path | None
+    channel: int | None = None
+    inverted: bool = False
+    convention: str = ""
+    factor: tuple[float, ...] = (1.0,)
+
+
+def kind_of(stem: str, dropped: int = 0) -> tuple[str, ...]:
+    """The map that a file's name means, or those of its three channels; nothing where it means none.
+
+    Args:
+        stem: the name without its suffix.
+        dropped: how many words at its beginning are not looked at.
+    """
+    parts = words(stem)[dropped:]
+    if parts and parts[-1] in PACKED:
+        return PACKED[parts[-1]]
+    kinds: list[str] = []
+    end = len(parts)
+    while end:
+        begin = next((k for k in range(end) if "".join(parts[k:end]) in KINDS), None)
+        if begin is not None:
+            kinds.insert(0, KINDS["".join(parts[begin:end])])
+            end = begin
+        elif kinds:
+            break
+        else:
+            end -= 1
+    if {"roughness", "metallic"} <= set(kinds):
+        return tuple(kinds[-3:]) if "occlusion" in kinds[-3:] else GLTF_PACKED
+    return ("other",) if "other" in kinds else tuple(kinds[-1:])
+
+
+def words(stem: str) -> list[str]:
+    """The words of a name in small letters, without sizes such as 2K and 4096 and kinds of files."""
+    parts = re.findall(r"[A-Za-z]+\d[A-Za-z0-9]*|[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", SIZES.sub(" ", stem))
+    return [part.lower() for part in parts]
+
+
+def sources(folder: Path) -> tuple[dict[str, Source], list[Path]]:
+    """Maps by kind (those of SVBRDFs, and ``specular_level``), and the images that are none of them.
+
+    Names that the files have in common, such as the material's, mean nothing: ``rusty_metal_rough`` beside
+    ``rusty_metal_diff`` is a roughness.
+
+    Raises:
+        MapsError: two files for one map.
+    """
+    images = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
+    common = _in_common([path.stem for path in images if kind_of(path.stem)])
+    found: dict[str, dict[tuple, list[Source]]] = {}
+    for path in images:
+        kinds = kind_of(path.stem, common)
+        for channel, kind in enumerate(kinds):
+            map_name, _, convention = kind.partition(" ")
+            name = "roughness" if map_name == "glossiness" else map_name
+            source = Source(path, channel if len(kinds) > 1 else None, kind == "glossiness", convention)
+            plain = FIELD.get(name, (name,))
+            rank = (convention == "dx", len(kinds) > 1, source.inverted,
+                    plain.index(path.stem.lower()) if path.stem.lower() in plain else len(plain),
+                    SUFFIXES.index(path.suffix.lower()))
+            found.setdefault(name, {}).setdefault(rank, []).append(source)
+    chosen = {}
+    for name, ranked in found.items():
+        if name in ("occlusion", "height", "other"):
+            continue
+        best = ranked[min(ranked)]
+        if len(best) > 1:
+            raise MapsError(f"one {name} map", " and ".join(s.path.name for s in best[:3] if s.path),
+                            "give a folder with the files of one material in one size")
+        chosen[name] = best[0]
+    return chosen, [path for path in images if path not in {source.path for source in chosen.values()}]
+
+
+def _in_common(stems: list[str]) -> int:
+    """How many words all names begin with; one that has no other word is a preview."""
+    each = sorted(map(words, stems), key=len)
+    first = os.path.commonprefix(each)
+    if len(each) > 2 and len(each[1]) > len(each[0]) == len(first):
+        return len(first)
+    shared = range(len(first), 0, -1)
+    return next((k for k in shared if len(stems) > 1 and all(kind_of(stem, k) for stem in stems)), 0)
+
+
+def is_of_field(chosen: Mapping[str, Source]) -> bool:
+    """Whether the files have the field's plain names: their maps then are diffuse and specular."""
+    plain = {name: source.path.stem.lower() for name, source in chosen.items() if source.path}
+    return "diffuse" in plain and all(plain[name] in names for name, names in FIELD.items() if name in plain)

@@ -1,0 +1,115 @@
+"""Normals as files hold them: which numbers are vectors, and which way y points."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ..errors import MapsError, MapsWarning
+from .maps import LOWEST_Z
+
+# Normals of published maps point into the surface at up to 0.2 % of the texels: noise of networks, empty
+# corners.
+FEW = 0.01  # share of the texels at which that is mended; a map with more is in another convention
+RAISED = 1 / 255  # their z: the lowest above 0 that an 8-bit file holds
+GREY = 0.1  # difference of channels that half the texels of a normal map exceed: straight up has 0.5
+LENGTH = 0.25  # how far half the vectors may be from length 1; in the worst of sixty published maps 0.04
+# A third channel of this range holds nothing, beside x and y of four times the range: it is 0 there, or the
+# vectors are off length 1 by more than the 8 bits of gentle slopes explain.
+EMPTY, SLOPPY = 2 / 255, 0.02
+
+# The curl of slopes is 0 with the right sign of y. DirectX is proven where its sign leaves less than a
+# quarter of the curl's energy and nearly all blocks agree, and possible where it leaves less than two thirds.
+PROVEN, POSSIBLE, AGREED, BLOCKS = 1 / 4, 2 / 3, 0.9, 8
+STEEPEST = 0.05  # smallest z that slopes are computed with
+
+
+def unit_normals(image: Tensor, path: Path, convention: str = "") -> Tensor:
+    """Unit normals, +Y up, H x W x 3, of what a file holds.
+
+    Understood are (n + 1) / 2, signed vectors of EXR files, and x and y alone.
+
+    Args:
+        image: H x W x C, as the file holds it.
+        path: the file.
+        convention: ``gl`` or ``dx`` where it is stated; else the curl decides.
+
+    Raises:
+        MapsError: no normals.
+
+    Warns:
+        MapsWarning: DirectX was found by its curl, or is possible; a few normals were lifted.
+    """
+    normal = _lifted(F.normalize(_vectors(image, path), dim=-1), path)
+    if not convention and (found := directx_by_curl(normal)) is not False:
+        done = "turned around; --encoding normal=gl" if found else "read as OpenGL's; --encoding normal=dx"
+        warnings.warn(f"{path}: normals {'are' if found else 'may be'} DirectX's (+Y down), for their slopes "
+                      f"fit together better that way; {done} overrules", MapsWarning, stacklevel=2)
+        convention = "dx" if found else "gl"
+    return normal * normal.new_tensor([1, -1, 1]) if convention == "dx" else normal
+
+
+def directx_by_curl(normal: Tensor) -> bool | None:
+    """Whether a field of normals is one of slopes with y turned around only; None: perhaps.
+
+    Of heights h, the slopes p = dh/dx and q = dh/dy have dp/dy = dq/dx.
+    """
+    slopes = -normal[..., :2].float() / normal[..., 2:].float().clamp_min(STEEPEST)
+    across, up = slopes[..., 1].diff(dim=1), -slopes[..., 0].diff(dim=0)  # dq/dx, dp/dy; rows go down
+    if min(across.shape[0], up.shape[1]) < 2 * BLOCKS:
+        return False
+    across, up = across[1:] + across[:-1], up[:, 1:] + up[:, :-1]
+    as_it_is, turned = (float((up - sign * across).square().sum(dtype=torch.float64)) for sign in (1, -1))
+    if turned >= POSSIBLE * as_it_is:
+        return False
+    blocks = torch.stack([block.sum() for row in (up * across).tensor_split(BLOCKS)
+                          for block in row.tensor_split(BLOCKS, dim=1)])
+    agreed = float(blocks.clamp_max(0).sum() / -blocks.abs().sum())
+    return True if turned < PROVEN * as_it_is and agreed > AGREED else None
+
+
+def _vectors(image: Tensor, path: Path) -> Tensor:
+    pair = image.shape[2] == 2
+    if image.shape[2] == 3:
+        spread = image.amax(dim=2) - image.amin(dim=2)
+        ranges = [float(channel.max() - channel.min()) for channel in image.unbind(dim=2)]
+        pair = ranges[2] <= EMPTY < max(ranges[:2]) / 4 and (
+            float(image[..., 2].max()) <= EMPTY or _off(image * 2 - 1, torch.mean) > SLOPPY)
+        if not pair and float(spread.median()) < GREY:
+            image = image[..., :1]
+    if image.shape[2] == 1:
+        raise MapsError("a normal map", f"{path}, which is grey: a height, a bump, or another map",
+                        "give the file of normals")
+    if pair:
+        signed = path.suffix.lower() == ".exr" and float(image[..., :2].median()) < 0.25
+        flat = image[..., :2] if signed else image[..., :2] * 2 - 1
+        up = (1 - flat.square().sum(dim=-1, keepdim=True)).clamp_min(RAISED**2).sqrt()
+        return torch.cat((flat, up), dim=-1)
+    stored, error = image * 2 - 1, _off(image * 2 - 1)
+    if path.suffix.lower() == ".exr" and _off(image) < error:
+        stored, error = image, _off(image)
+    if error > LENGTH:
+        raise MapsError("normals of length 1, as (n + 1) / 2", f"{path} with lengths off by {error:.2g}",
+                        "give the file of normals")
+    return stored
+
+
+def _off(vectors: Tensor, average: Callable[[Tensor], Tensor] = torch.median) -> float:
+    return float(average((vectors.norm(dim=-1) - 1).abs()))
+
+
+def _lifted(normal: Tensor, path: Path) -> Tensor:
+    """Unit normals, H x W x 3; a few that point into the surface are lifted, with a warning."""
+    under = normal[..., 2:] < LOWEST_Z
+    count, texels = int(under.sum()), under.numel()
+    if not 0 < count <= FEW * texels:
+        return normal
+    warnings.warn(f"{path}: {count} of {texels} normals ({count / texels:.2%}) point into the surface; "
+                  "lifted just above it", MapsWarning, stacklevel=2)
+    raised = torch.cat((normal[..., :2], torch.full_like(normal[..., 2:], RAISED)), dim=-1)
+    return torch.where(under, F.normalize(raised, dim=-1), normal)
