@@ -25,8 +25,8 @@ SETS = {
                    "diffuse=rusty_metal_02_diff_1k.png metallic=rusty_metal_02_metal_1k.png "
                    "normal=rusty_metal_02_nor_gl_1k.png roughness=rusty_metal_02_rough_1k.png"),
     "Poly Haven of glTF": ("brick_arm_2k.jpg brick_diff_2k.jpg brick_nor_gl_2k.jpg",
-                           "diffuse=brick_diff_2k.jpg normal=brick_nor_gl_2k.jpg roughness=brick_arm_2k.jpg:1 "
-                           "metallic=brick_arm_2k.jpg:2"),
+                           "diffuse=brick_diff_2k.jpg normal=brick_nor_gl_2k.jpg "
+                           "roughness=brick_arm_2k.jpg:1 metallic=brick_arm_2k.jpg:2"),
     "ambientCG": ("Metal046B.png Metal046B_1K-JPG_Color.jpg Metal046B_1K-JPG_Displacement.jpg "
                   "Metal046B_1K-JPG_Metalness.jpg Metal046B_1K-JPG_NormalDX.jpg "
                   "Metal046B_1K-JPG_NormalGL.jpg "
