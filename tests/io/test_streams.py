@@ -2,7 +2,6 @@
 
 import errno
 import os
-import signal
 import subprocess
 import sys
 
@@ -151,10 +150,10 @@ sys.exit(main())
 """
 
 
-def test_ctrl_c_in_an_import_ends_the_process(tmp_path):
+def test_ctrl_c_waits_for_an_import(tmp_path):
     done = subprocess.run([sys.executable, "-c", INTERRUPTED], capture_output=True, text=True, cwd=tmp_path,
                           env=OURS)
-    assert (done.returncode, done.stdout, done.stderr) == (-signal.SIGINT, "", "interrupted\n")
+    assert (done.returncode, done.stdout, done.stderr) == (130, "", "interrupted\n")
 
 
 def test_what_a_library_makes_of_ctrl_c_is_ctrl_c(monkeypatch, capsys):
