@@ -212,11 +212,15 @@ def _usual_only(config: FitConfig) -> FitConfig:
 
 
 def with_flags(arguments: Sequence[str]) -> list[str]:
-    """Arguments with --calibrate, --exact and their --no- as True and False. Unsaid, the fit decides."""
+    """Arguments with --calibrate, --exact and their --no- as True and False. Unsaid, the fit decides.
+
+    A flag that the method lacks stays as it was typed: the parser names it.
+    """
     found: list[str] = []
+    known = {f"--{each.name}" for each in fields(settings(arguments))}.intersection(THREE_WAYS)
     for here, after in zip(arguments, [*arguments[1:], ""]):
         name = here.replace("--no-", "--", 1)
-        alone = name in THREE_WAYS and after not in ("True", "False", "None")
+        alone = name in known and after not in ("True", "False", "None")
         found += [name, str(here == name)] if alone else [here]
     return found
 
