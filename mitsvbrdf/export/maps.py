@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import re
+import unicodedata
 from dataclasses import replace
 from pathlib import Path
+from zlib import crc32
 
 import torch
 
@@ -17,7 +18,7 @@ from ..material.relief import heights, occlusion
 from .residual import residual
 from .textures import DEFAULTS, NORMALS, Export, ExportSettings, write_texture
 
-LONGEST = 100  # letters of a material's name in file names; more would not fit every file system
+LONGEST = 100  # bytes of a material's name in file names; more would not fit every file system
 LOSSY_NOTE = ("metallic is 0 or 1: base colour is F0 of metals, and of all else diffuse / (1 - F0), for most "
               "programs lay the highlight over the diffuse light; the specular level (Blender's Specular IOR "
               "Level, F0 = 0.08 times it) has F0 up to 0.08")
@@ -68,5 +69,8 @@ def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
 
 
 def _safe(name: str) -> str:
-    """A file name of letters, digits, - and _ only."""
-    return re.sub(r"[^A-Za-z0-9_-]+", "_", name).strip("_")[:LONGEST] or "material"
+    """A file name of letters and digits of any script, - and _; of a name without any, a number."""
+    kept = (c if unicodedata.category(c)[0] in "LMN" or c in "-_" else " "
+            for c in unicodedata.normalize("NFC", name))
+    safe = "_".join("".join(kept).split()).strip("_").encode()[:LONGEST].decode(errors="ignore")
+    return safe or (f"material_{crc32(name.encode(errors='surrogatepass')):08x}" if name else "material")

@@ -34,7 +34,7 @@ from ..kinds import kinds_checked
 from ..material.maps import SVBRDF
 from ..views import Views
 from .bsdf import needed_maps
-from .llvm import mitsuba_module
+from .llvm import mitsuba_module, set_variant
 from .needs import Needs, refuse_not_finite, scene_needs
 from .plugins import register
 
@@ -94,13 +94,13 @@ def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
             # Mitsuba's render leaves a Ctrl-C that wakes no waiting thread
             if hasattr(signal, "siginterrupt"):
                 signal.siginterrupt(signal.SIGINT, True)
-            if mi.variant() != before:  # later: it takes some 80 ms
+            if mi.variant() != before:
                 put_back("the Mitsuba variant", partial(_set_again, mi, before))
 
 
 def _set_again(mi: ModuleType, variant: str) -> None:
     with PROCESS:
-        mi.set_variant(variant)
+        set_variant(mi, variant)
 
 
 @contextlib.contextmanager

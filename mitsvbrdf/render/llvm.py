@@ -31,6 +31,8 @@ from ..io.signals import PROCESS
 
 VARIABLE = "DRJIT_LIBLLVM_PATH"
 OLDEST = 19
+INTEGRATORS, FIRST = "mitsuba.python.ad.integrators", "common"  # Mitsuba's package, and what it imports first
+_registered: set[str] = set()  # variants that know their integrators
 MEASURED = (19, 22)  # versions this package was developed with; the first to be tried
 
 # fmaximum (what LLVM 15 and 16 cannot select), gather, scatter_reduce, a loop and a gradient, each with a
@@ -195,6 +197,21 @@ def install_hint() -> str:
     return f"conda install -c conda-forge libllvm{OLDEST}"
 
 
+def set_variant(mi: ModuleType, variant: str) -> None:
+    """Set Mitsuba's variant; its integrators in Python are loaded once a variant, not each time (150 ms).
+
+    Afterwards they stay those of the variant that the program around us has set.
+    """
+    integrators = vars(sys.modules.get(INTEGRATORS, ModuleType(INTEGRATORS)))
+    known = variant in _registered and integrators.pop(FIRST, None)  # without: no reload
+    try:
+        mi.set_variant(variant)
+    finally:
+        if known:
+            integrators.setdefault(FIRST, known)
+    _registered.add(variant)
+
+
 def mitsuba_module(variant: str = "llvm_ad_rgb") -> ModuleType:
     """The ``mitsuba`` module with this variant set; ``using_mitsuba`` also sets the earlier one back.
 
@@ -217,7 +234,7 @@ def mitsuba_module(variant: str = "llvm_ad_rgb") -> ModuleType:
             raise BackendError(f"a Mitsuba variant of {fitting}", repr(variant), "choose one of these")
         if mi.variant() != variant:
             try:
-                mi.set_variant(variant)
+                set_variant(mi, variant)
             except (ImportError, RuntimeError) as reason:
                 fix = "use llvm_ad_rgb, which needs no GPU" if cuda else f"install libLLVM: {install_hint()}"
                 raise BackendError(f"{variant} to work here", str(reason), fix) from None

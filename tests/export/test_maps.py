@@ -10,6 +10,7 @@ import torch
 from helpers.exported import decoded, stated
 
 from mitsvbrdf.export import ExportSettings, export_material
+from mitsvbrdf.export.maps import _safe
 from mitsvbrdf.material.conversion import as_principled
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps
@@ -167,3 +168,13 @@ def test_packed_maps_are_those_of_the_single_files(tmp_path):
     packed, *single = (decoded(tmp_path / f"maps/material_{name}.png", "linear")
                        for name in ("arm", "ao", "rough", "metal"))
     assert np.abs(packed - np.concatenate([each[..., :1] for each in single], axis=-1)).max() == 0
+
+
+def test_materials_of_any_script_have_file_names_of_their_own():
+    names = ["\u6728\u7eb9", "\u77f3\u5934", "\u0434\u0435\u0440\u0435\u0432\u043e", "\u0915\u093f",
+             "\u0915\u0940", "\U0001fab5", "\U0001faa8", "\udc80", "Eiche Natur"]
+    safe = [_safe(name) for name in names]
+    assert len(set(safe)) == len(names) and safe[0] == names[0] and safe[-1] == "Eiche_Natur"
+    assert _safe("\u6728" * 200) == "\u6728" * 33 and _safe("") == "material"
+    # As before where all letters are Latin: every other sign is one "_", none at the ends.
+    assert [_safe(name) for name in (" a _b", "x.y/z", "-a-", "__")] == ["a__b", "x_y_z", "-a-", _safe("__")]

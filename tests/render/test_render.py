@@ -15,6 +15,7 @@ from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
 from mitsvbrdf.measure.gradients import render_and_gradients
 from mitsvbrdf.measure.metrics import gradient_error, image_error
 from mitsvbrdf.render import RENDERERS, make_renderer
+from mitsvbrdf.render.exclusive import using_mitsuba
 from mitsvbrdf.render.needs import CONSTANT_FRESNEL_DEGREES, Needs, half_angle_bound, scene_needs
 from mitsvbrdf.testing import LIMITS, assert_matches_golden, assert_renderers_agree, random_material
 from mitsvbrdf.views import Views, texel_positions
@@ -150,6 +151,25 @@ def test_more_views_than_one_kernel_holds():
 @pytest.mark.parametrize("name", LIMITS)
 def test_made_material_with_global_structure(name):
     assert_renderers_agree(make_material("inlay", 64), GRID, [name])
+
+
+def test_mitsubas_own_integrators_are_parsed_once_a_variant_and_stay_those_of_the_program():
+    # Dr.Jit counts what it parses, and warns at 1000: "called by your program".
+    import drjit.ast
+
+    with using_mitsuba() as mi:
+        renderer, material = make_renderer("mitsuba"), random_material("roughconductor", 8)
+        for variant in ("scalar_rgb", "llvm_ad_spectral"):
+            mi.set_variant(variant)
+            renderer.render(material, GRID.pick([0]))
+            parsed = drjit.ast._syntax_counter
+            for _ in range(3):
+                renderer.render(material, GRID.pick([0]))
+            assert drjit.ast._syntax_counter == parsed
+        mi.set_variant("llvm_ad_mono")
+        renderer.render(material, GRID.pick([0]))
+        assert isinstance(mi.load_dict({"type": "prb"}), mi.ad.integrators.common.ADIntegrator)
+        mi.set_variant("llvm_ad_rgb")
 
 
 def test_renderers_live_side_by_side():
