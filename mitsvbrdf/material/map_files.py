@@ -6,6 +6,7 @@ writes ours.
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import torch.nn.functional as F
@@ -14,6 +15,7 @@ from .. import color
 from ..io import files, images
 from ..io.entry import entry
 from .encoding import ENCODINGS, NormalConvention
+from .gltf_set import gltf_set
 from .map_set import find_maps, read_set
 from .maps import COLOURS, SVBRDF, TITLES, Bsdf
 
@@ -33,7 +35,7 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
     ``maps/`` inside, or no maps but ``textures/``, stands for that.
 
     Args:
-        folder: the folder.
+        folder: the folder, or a .glb or .gltf file of one material.
         bsdf: which set to read where both are there; left out: what material.json says, else ``principled``
             where base_color and metallic are there. A specular level makes that a ``roughconductor``.
         encoding: of files of 8 and 16 bits: ``linear``, ``gamma 2.2`` or ``srgb``, or by map
@@ -49,11 +51,20 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
     Raises:
         MapsError: naming what is missing or wrong.
     """
-    return read_set(find_maps(Path(folder), encoding, normal), bsdf).check()
+    path = Path(folder)
+    with (gltf_set(path, encoding, normal) if _is_gltf(path)
+          else contextlib.nullcontext(find_maps(path, encoding, normal))) as found:
+        return read_set(found, bsdf).check()
+
+
+def _is_gltf(path: Path) -> bool:
+    return path.suffix.lower() in (".glb", ".gltf") and path.is_file()
 
 
 def encodings(folder: str | Path, encoding: str | None = None) -> dict[str, str]:
     """How the 8- and 16-bit files of a map folder are encoded, by map; see :func:`load_maps`."""
+    if _is_gltf(Path(folder)):
+        return ENCODINGS["srgb"]
     found = find_maps(Path(folder), encoding)
     return {name: found.code(name) for name in TITLES if name != "normal"}
 

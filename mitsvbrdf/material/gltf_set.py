@@ -1,0 +1,127 @@
+"""The maps of a glTF 2.0 file: .glb, or .gltf with the files beside it.
+
+Source: glTF 2.0 specification (Khronos), sections 3.9 and 4.4; KHR_materials_specular and KHR_materials_ior.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import struct
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import unquote
+
+from ..errors import MapsError
+from ..io import files
+from ..io.json import error_text, parsed
+from .encoding import NormalConvention, asked_codes
+from .map_set import LEAST_ROUGHNESS, MapSet
+from .maps import DIELECTRIC_F0
+from .naming import Source
+
+LARGEST = 2**30  # bytes of a file
+
+
+@contextlib.contextmanager
+def gltf_set(path: Path, encoding: str | None, normal: NormalConvention | None) -> Iterator[MapSet]:
+    """The one material of a file, whose textures are files as long as the context lasts.
+
+    Raises:
+        MapsError: another file, several materials, or what the reader does not know.
+    """
+    asked = asked_codes(encoding, normal)
+    with tempfile.TemporaryDirectory() as spare:
+        try:
+            document, binary = _parts(path)
+            materials = document.get("materials", [])
+            if len(materials) != 1:
+                names = ", ".join(str(m.get("name", k)) for k, m in enumerate(materials[:9])) or "none"
+                raise MapsError("a glTF file of one material", f"{path} with {len(materials)} ({names})",
+                                "export the material that is meant alone")
+            found = _sources(path, document, materials[0], binary, Path(spare))
+        except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, struct.error) as reason:
+            raise MapsError("a whole glTF 2.0 file", f"{path}: {type(reason).__name__} {error_text(reason)}",
+                            "export it again") from None
+        yield MapSet(path, found, {"normal": "gl", "f0": "srgb"} | asked)
+
+
+def _parts(path: Path) -> tuple[dict, bytes]:
+    """The JSON of a file, and the binary chunk of a .glb."""
+    if path.stat().st_size > LARGEST:
+        raise ValueError(f"larger than {LARGEST >> 20} MiB")
+    content = path.read_bytes()
+    if content[:4] != b"glTF":
+        return parsed(content), b""
+    chunks, at = dict[bytes, bytes](), 12
+    while at + 8 <= len(content):
+        size, kind = struct.unpack_from("<I4s", content, at)
+        chunks.setdefault(kind, content[at + 8:at + 8 + size])
+        at += 8 + size
+    return parsed(chunks[b"JSON"].rstrip(b" \0")), chunks.get(b"BIN\0", b"")
+
+
+def _sources(path: Path, document: dict, material: dict, binary: bytes, spare: Path) -> dict[str, Source]:
+    def texture(info: dict | None, name: str) -> Path | None:
+        if info is None:
+            return None
+        if info.get("scale", 1) != 1:
+            raise MapsError("normals at scale 1", f"{path} with {info['scale']}", "bake the scale")
+        about = document["images"][document["textures"][info["index"]]["source"]]
+        if "bufferView" not in about and not about["uri"].startswith("data:"):
+            return _beside(path, about["uri"])
+        data = (_view(document, about["bufferView"], path, binary) if "bufferView" in about
+                else _inline(about["uri"]))
+        kind = ".png" if data[:4] == b"\x89PNG" else ".jpg"
+        file = spare / f"{name}{kind}"
+        file.write_bytes(data)
+        return file
+
+    surface, more = material.get("pbrMetallicRoughness", {}), material.get("extensions", {})
+    packed = texture(surface.get("metallicRoughnessTexture"), "metallic_roughness")
+    found = {
+        "base_color": Source(texture(surface.get("baseColorTexture"), "base_color"),
+                             factor=_numbers(surface.get("baseColorFactor", (1, 1, 1)))),
+        "metallic": Source(packed, 2 if packed else None,
+                           factor=_numbers([surface.get("metallicFactor", 1)])),
+        "roughness": Source(packed, 1 if packed else None, factor=(
+            max(*_numbers([surface.get("roughnessFactor", 1)]), LEAST_ROUGHNESS),)),
+        "normal": Source(texture(material.get("normalTexture"), "normal"))}
+    if found["normal"].path is None:
+        found["normal"] = Source(None, factor=(0.0, 0.0, 1.0))
+    if "KHR_materials_specular" in more or "KHR_materials_ior" in more:
+        specular = more.get("KHR_materials_specular", {})
+        index = more.get("KHR_materials_ior", {}).get("ior", 1.5)
+        if "specularTexture" in specular:
+            raise MapsError("a specular colour", f"{path} with specularTexture", "bake it into the colour")
+        level = ((index - 1) / (index + 1)) ** 2 if index != 1.5 else DIELECTRIC_F0
+        level *= specular.get("specularFactor", 1)
+        found["f0"] = Source(texture(specular.get("specularColorTexture"), "specular_color"), factor=tuple(
+            level * x for x in _numbers(specular.get("specularColorFactor", (1, 1, 1)))))
+    return found
+
+
+def _numbers(values: Any) -> tuple[float, ...]:
+    return tuple(float(x) for x in values[:3])
+
+
+def _beside(path: Path, uri: str) -> Path:
+    file = files.inside(path.parent, unquote(uri))
+    if file is None:
+        raise MapsError("textures beside the file", f"{uri!r} in {path}", "copy them there")
+    return file
+
+
+def _inline(uri: str) -> bytes:
+    return base64.b64decode(uri.partition(",")[2], validate=True)
+
+
+def _view(document: dict, number: int, path: Path, binary: bytes) -> bytes:
+    view = document["bufferViews"][number]
+    uri = document["buffers"][view["buffer"]].get("uri")
+    if uri is not None:
+        binary = _inline(uri) if uri.startswith("data:") else _beside(path, uri).read_bytes()
+    begin = view.get("byteOffset", 0)
+    return binary[begin:begin + view["byteLength"]]

@@ -1,0 +1,64 @@
+"""Materials of glTF files, read back from our own export and from files of known values."""
+
+import base64
+import json
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from mitsvbrdf.errors import AssumedWarning, MapsError
+from mitsvbrdf.export import export_material
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import load_maps
+from mitsvbrdf.material.maps import flat
+
+
+@pytest.mark.parametrize("made", [make_material("plates", 32), flat(8, "principled", metallic=0.2)],
+                         ids=["roughconductor", "principled"])
+def test_our_own_file_is_read_back_within_its_bits(made, tmp_path):
+    export_material(made, tmp_path, ["gltf"])
+    with pytest.warns(AssumedWarning, match="read base_color"):
+        found = load_maps(tmp_path / "gltf" / "material.glb")
+    assert found.bsdf == made.bsdf
+    for name, value in made.maps.items():  # a step of 8 bits in normals and sRGB, whose steepest slope is 2.3
+        assert (found[name] - value).abs().max() < 2.5 / 255, name
+
+
+def written(folder, **material):
+    Image.fromarray(np.full((4, 4, 3), (9, 128, 64), np.uint8)).save(folder / "orm map.png")
+    Image.fromarray(np.full((8, 8, 3), 188, np.uint8)).save(folder / "c.png")
+    inline = "data:image/png;base64," + base64.b64encode((folder / "c.png").read_bytes()).decode()
+    document = {"asset": {"version": "2.0"}, "images": [{"uri": "orm%20map.png"}, {"uri": inline}],
+                "textures": [{"source": 0}, {"source": 1}], "materials": [material]}
+    (folder / "m.gltf").write_text(json.dumps(document))
+    return folder / "m.gltf"
+
+
+def test_factors_files_and_sizes(tmp_path):
+    """Section 3.9.2: a factor multiplies its texture, roughness is green and metallic blue."""
+    path = written(tmp_path, pbrMetallicRoughness={
+        "baseColorTexture": {"index": 1}, "baseColorFactor": [1, 0.5, 0.25, 1], "roughnessFactor": 0.5,
+        "metallicRoughnessTexture": {"index": 0}})
+    with pytest.warns(AssumedWarning):
+        found = load_maps(path)
+    linear = ((188 / 255 + 0.055) / 1.055) ** 2.4
+    assert found.resolution == 8 and torch.equal(found["normal"][0, 0], torch.tensor([0.0, 0.0, 1.0]))
+    assert found["base_color"][3, 3].tolist() == pytest.approx([linear, linear / 2, linear / 4], rel=1e-5)
+    assert found["roughness"].mean().item() == pytest.approx(64 / 255)
+    assert found["metallic"].mean().item() == pytest.approx(64 / 255)
+
+
+@pytest.mark.parametrize("damage, word", [
+    (lambda d: d["materials"].append({"name": "pawn"}), "with 2 .*pawn"),
+    (lambda d: d["images"][0].update(uri="../x.png"), "beside the file"),
+    (lambda d: d["textures"].clear(), "glTF 2.0 file"),
+    (lambda d: d["images"][0].update(uri="no.png"), "no file")])
+def test_what_cannot_be_read_is_one_error(damage, word, tmp_path):
+    path = written(tmp_path, pbrMetallicRoughness={"metallicRoughnessTexture": {"index": 0}})
+    document = json.loads(path.read_text())
+    damage(document)
+    path.write_text(json.dumps(document))
+    with pytest.raises(MapsError, match=word):
+        load_maps(path)
