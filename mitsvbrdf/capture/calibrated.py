@@ -14,22 +14,27 @@ from pathlib import Path
 from typing import Annotated, Any, get_args
 
 import msgspec
+import numpy as np
 import torch
 from msgspec import Meta
 
 from .. import color
 from ..errors import CaptureError
-from ..io.decode import decoded, header, upright
-from ..io.images import averaged
+from ..io.decode import header, picture, upright
+from ..io.images import averaged, unmasked
 from ..io.json import load, read_json
 from ..views import Falloff, Views, default_views
 from .capture import LEAST_SIDE, Calibration, Capture
+from .colours import Converted, converted, notes_of
 from .photo import PLAIN, files_of
+from .rectify import filled
 
 NUMBER = Annotated[float, Meta(ge=-1e300, le=1e300)]  # no NaN either
 ROW = Annotated[list[NUMBER], Meta(min_length=3, max_length=3)]
 ROWS = Annotated[list[ROW], Meta(min_length=1)]
-KINDS = {NUMBER: "a finite number", ROW: "three numbers", ROWS: "rows of three numbers"}
+COLOURS = dict[str, Converted]
+KINDS = {NUMBER: "a finite number", ROW: "three numbers", ROWS: "rows of three numbers",
+         COLOURS: "`photos` and `outside` by name of a colour profile"}
 STATED = "target_dir", "camera_pos", "light_pos", "light_pow", "im_size", "idx"
 MOST_HELD = 500_000_000  # pixels of all photos of a capture, shrunk: 6 GB
 
@@ -96,7 +101,8 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
                            f"{len(camera)} rows in {path}", "give one row a photo, or shorten idx")
     views = _views(camera, light, stated["light_pow"], size, falloff, str(path)).pick(index)
     return _calibrated([photos[i] for i in index], views, transfer, index, path.parent,
-                       resolution, _calibration(stated, path))
+                       resolution, _calibration(stated, path),
+                       _stated(stated.get("colours", {}), COLOURS, f"colours in {path}"))
 
 
 def _calibration(stated: dict, path: Path) -> Calibration:
@@ -144,18 +150,30 @@ def from_text(folder: Path, falloff: Falloff, resolution: int | None) -> Capture
 
 
 def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index: list[int], source: Path,
-                resolution: int | None, calibration: Calibration = "given") -> Capture:
-    """The capture; one photo at a time is decoded, and shrunk before the next one."""
+                resolution: int | None, calibration: Calibration = "given",
+                told: dict[str, Converted] | None = None) -> Capture:
+    """The capture; one photo at a time is decoded, and shrunk before the next one.
+
+    ``told`` is what the maker of the capture has converted.
+    """
     headers = [header(path, CaptureError) for path in paths]
     side = _common_side(paths, [each.size for each in headers], source)
     kept = min(side, resolution or side)
     if (held := len(paths) * kept**2) > MOST_HELD:
         raise CaptureError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together",
                            f"{held / 1e6:.0f} in {source}", "read them at a lower resolution")
-    photos = torch.empty(len(paths), kept, kept, 3)
+    photos, outside = torch.empty(len(paths), kept, kept, 3), {}
     for photo, path, about in zip(photos, paths, headers):
-        photo.numpy()[:] = averaged(upright(decoded(path, CaptureError), about.orientation), kept)
-    return Capture(photos, views, transfer, tuple(index), calibration, source)
+        found = picture(path, CaptureError)
+        photo.numpy()[:] = averaged(upright(found.pixels, about.orientation), kept)
+        if found.opaque is not None:
+            photo.numpy()[~unmasked(upright(found.opaque, about.orientation), kept)] = np.nan
+        outside[path.name] = found.outside
+    photos = photos if photos.isfinite().all() else filled(list(photos.numpy()))
+    colours = {**(told or {}),
+               **converted({path.name: about.profile for path, about in zip(paths, headers)}, outside)}
+    return Capture(photos, views, transfer, tuple(index), calibration, source, tuple(notes_of(colours)),
+                   colours)
 
 
 def _common_side(paths: list[Path], sizes: list[tuple[int, int]], source: Path) -> int:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal, get_args
 
@@ -14,6 +14,7 @@ from ..errors import CaptureError, ConfigError
 from ..kinds import check_fields, kinds_checked
 from ..material.resample import area_averaged, sampled
 from ..views import Views, whole_numbers
+from .colours import Converted
 
 LEAST_SIDE = 8  # pixels
 
@@ -34,6 +35,7 @@ class Capture:
         calibration: where the views come from; of ``none`` they are the stated default geometry.
         source: the folder it came from.
         notes: what a user should know about how it was read (rejected photos, default geometry, ...).
+        colours: what was converted to sRGB, by the name of the photos' colour profile.
 
     Raises:
         CaptureError: photos of another shape or with values that no photo has, or not a view and a number for
@@ -48,6 +50,7 @@ class Capture:
     calibration: Calibration = "given"
     source: Path | None = None
     notes: tuple[str, ...] = ()
+    colours: Mapping[str, Converted] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         check_fields(self, "views", "transfer", "calibration", "source")

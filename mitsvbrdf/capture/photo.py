@@ -4,29 +4,29 @@ from __future__ import annotations
 
 import contextlib
 import math
+import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import numpy as np
 
 from ..errors import CaptureError, ConfigError, InputWarning
-from ..io.decode import check_size, decoded, opened
-from ..io.decode import orientation as orientation_of
+from ..io.colour_profile import Profile
+from ..io.decode import Picture, check_size, header, kind_of, needed, opened, picture
 from ..io.files import check_names
 from ..kinds import kinds_checked
 
-PLAIN = (".png", ".jpg", ".jpeg")
-HEIC = (".heic", ".heif")  # need the extra `heic`
+PLAIN = (".png", ".jpg", ".jpeg", ".jpe", ".jfif", ".tif", ".tiff", ".webp")
+HEIC = (".heic", ".heif", ".hif")  # need the extra `heic`
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")  # need the extra `raw`
 SUFFIXES = PLAIN + HEIC + RAW
+# lie beside photos: notes, settings, pages
+BESIDE = (".aae", ".csv", ".db", ".html", ".ini", ".json", ".md", ".pdf", ".txt", ".xml", ".xmp", ".yaml")
 
 ORIENTATION_OF_FLIP = {3: 3, 5: 8, 6: 6}  # EXIF's by LibRaw's
-# quarter turns against the clock, from how a photo is shown to how the sensor saw it
-UNTURNED = {3: 2, 6: 1, 8: -1}
 
 # What can be locked, and shows where it was not: EXIF tags of the Exif block, a number each.
 NUMBERS = {"ISO": 34855, "exposure time": 33434, "focal length": 37386, "35 mm focal length": 41989}
@@ -44,27 +44,28 @@ class Photo:
     """A file; its pixels are read when they are asked for.
 
     Args:
-        path: png or jpg; HEIC with the extra ``heic``, RAW (dng, cr2, cr3, nef, arw, ...) with the extra
-            ``raw``.
+        path: PNG, JPEG, TIFF or WebP; HEIC with the extra ``heic``, RAW (dng, cr2, cr3, nef, arw, ...) with
+            the extra ``raw``.
         size: width and height of the stored pixels, before any EXIF orientation.
         orientation: EXIF's, 1 to 8; 1: shown as stored.
         exif: see :func:`read_exif`.
+        linear: whether its values are proportional to radiance: those of RAW files are.
+        profile: of its colours; None: those of sRGB.
+        balance: factors of white balance that a RAW file is developed with.
     """
 
     path: Path
     size: tuple[int, int]
     orientation: int = 1
     exif: dict[str, Any] = field(default_factory=dict)
+    linear: bool = False
+    profile: Profile | None = None
+    balance: tuple[float, ...] = ()
 
     @property
     def name(self) -> str:
         """Name of the file."""
         return self.path.name
-
-    @property
-    def linear(self) -> bool:
-        """Whether its values are proportional to radiance: those of RAW files are."""
-        return self.path.suffix.lower() in RAW
 
     @classmethod
     @kinds_checked
@@ -77,46 +78,47 @@ class Photo:
         path = Path(path)
         if not path.is_file():  # a pipe or a device would be waited for
             raise Unreadable("a photo", f"no file at {path}", "check the name")
-        if path.suffix.lower() in RAW:
-            with _readable(path), _needed("rawpy", "raw", path).imread(str(path)) as raw:
-                size = raw.sizes.width, raw.sizes.height
-                orientation = ORIENTATION_OF_FLIP.get(raw.sizes.flip, 1)
-        else:
-            with _readable(path), _opened(path) as image:
-                size, orientation = image.size, orientation_of(image)
-                # decoded as it is shown; the sensor's pixels are what the lens knows
-                if path.suffix.lower() in HEIC:
-                    orientation = image.info.get("original_orientation") or 1
-                    size = size[::-1] if orientation in (6, 8) else size
-        check_size(path, size, CaptureError)
-        return cls(path, size, orientation if orientation in range(1, 9) else 1, read_exif(path))
+        with _readable(path):
+            kind = kind_of(path)
+            if kind == "RAW" or kind in ("", "TIFF") and path.suffix.lower() in RAW:
+                with needed("rawpy", "raw", path, CaptureError).imread(str(path)) as raw:
+                    size = raw.sizes.width, raw.sizes.height
+                    turned, balance = ORIENTATION_OF_FLIP.get(raw.sizes.flip, 1), raw.camera_whitebalance
+                balance = tuple(balance) if min(balance[:3]) > 0 else ()
+                check_size(path, size, CaptureError)
+                return cls(path, size, turned, read_exif(path, "TIFF"), True, None, balance)
+        about = header(path, Unreadable)
+        return cls(path, about.size, about.orientation, read_exif(path, about.kind), False, about.profile)
 
-    def pixels(self, most: int | None = None) -> np.ndarray:
-        """H x W x 3, RGB as stored, 8 or 16 bits: display values, of RAW files linear ones. Alpha is dropped.
-
-        Args:
-            most: pixels of the long side; a longer one is divided by the least whole number that makes it
-                short enough, by area averages.
+    def read(self) -> Picture:
+        """RGB as stored: display values, of RAW files linear ones; 0 where alpha masks them.
 
         Raises:
             Unreadable: the file is damaged or cut off.
         """
         with _readable(self.path):
-            image = self._decoded()
-            return np.ascontiguousarray(reduced(image, most) if most else image)
-
-    def _decoded(self) -> np.ndarray:
-        suffix = self.path.suffix.lower()
-        if suffix in RAW:
-            rawpy = _needed("rawpy", "raw", self.path)
+            if not self.linear:
+                found = picture(self.path, Unreadable)
+                if found.opaque is not None:
+                    found.pixels[~found.opaque] = 0
+                return found
+            rawpy = needed("rawpy", "raw", self.path, CaptureError)
+            white: dict = {"user_wb": list(self.balance)} if self.balance else {"use_camera_wb": True}
             # nothing that depends on the picture: values stay comparable
             with rawpy.imread(str(self.path)) as raw:
-                return raw.postprocess(use_camera_wb=True, no_auto_bright=True, output_bps=16, gamma=(1, 1),
-                                       user_flip=0, adjust_maximum_thr=0.0)
-        if suffix in PLAIN:
-            return decoded(self.path, Unreadable)
-        with _opened(self.path) as image:
-            return np.rot90(np.asarray(image.convert("RGB")), UNTURNED.get(self.orientation, 0))
+                return Picture(raw.postprocess(**white, no_auto_bright=True, output_bps=16,
+                                               gamma=(1, 1), user_flip=0, adjust_maximum_thr=0.0))
+
+    def pixels(self, most: int | None = None) -> np.ndarray:
+        """The pixels of :meth:`read`, H x W x 3, 8 or 16 bits.
+
+        Args:
+            most: pixels of the long side; a longer one is divided by the least whole number that makes it
+                short enough, by area averages.
+        """
+        image = self.read().pixels
+        with _readable(self.path):
+            return np.ascontiguousarray(reduced(image, most) if most else image)
 
 
 def reduced(image: np.ndarray, most: int) -> np.ndarray:
@@ -145,31 +147,12 @@ def _readable(path: Path) -> Iterator[None]:
                          "copy it from the phone again, or take it out of the folder") from None
 
 
-@contextlib.contextmanager
-def _opened(path: Path) -> Iterator:
-    """The file in Pillow, read as its name says: Pillow hands PostScript of any name to Ghostscript."""
-    if heic := path.suffix.lower() in HEIC:
-        _needed("pillow_heif", "heic", path).register_heif_opener()
-    with opened(path, ("HEIF",) if heic else ("PNG", "JPEG")) as image:
-        yield image
-
-
-def _needed(module: str, extra: str, path: Path) -> ModuleType:
-    import importlib
-
-    try:
-        return importlib.import_module(module)
-    except ImportError:
-        raise CaptureError(f"the package {module} for files like {path.name}", "none installed",
-                           f'pip install "mitsvbrdf[{extra}]", or export the photos as JPEG') from None
-
-
-def files_of(folder: Path, suffixes: Sequence[str]) -> list[Path]:
-    """Files of a folder with these suffixes by name, hidden ones aside."""
+def files_of(folder: Path, suffixes: Sequence[str] | None) -> list[Path]:
+    """Files of a folder with these suffixes, or of any, by name, hidden ones aside."""
     if not folder.is_dir():
         raise CaptureError("a folder of photos", f"no folder at {folder}", "check the name")
-    return sorted(p for p in folder.iterdir() if p.suffix.lower() in suffixes and p.name[0] != "."
-                  and p.is_file())
+    return sorted(p for p in folder.iterdir() if (suffixes is None or p.suffix.lower() in suffixes)
+                  and p.name[0] != "." and p.is_file())
 
 
 @kinds_checked
@@ -185,6 +168,11 @@ def photos_in(folder: str | Path) -> list[Path]:
     if not found:
         raise CaptureError("photos (jpg, png, heic, dng, ...)", f"none in {folder}",
                            "give the folder that holds them")
+    others = [p.name for p in files_of(folder, None) if p.suffix.lower() not in SUFFIXES + BESIDE]
+    if others:
+        more = f" and {len(others) - 4} more" if others[4:] else ""
+        warnings.warn(f"{folder} holds files that are not read: {', '.join(others[:4])}{more}; export what "
+                      "is a photo as JPEG, PNG, TIFF or HEIC", InputWarning, stacklevel=3)
     raw = [p for p in found if p.suffix.lower() in RAW]
     if raw and len(raw) < len(found):
         raise CaptureError("photos of one kind",
@@ -217,11 +205,22 @@ def of_one_camera(photos: Sequence[Photo]) -> tuple[list[Photo], dict[str, str],
                    if photo.size == usual[::-1] else "cropped, scaled, or of another lens")
             reasons[photo.name] = (f"{photo.size[0]} x {photo.size[1]} pixels, the others have "
                                    f"{usual[0]} x {usual[1]}: {why}")
-    notes = differences(photos)
+    photos, told = with_one_balance(photos)
+    notes = [*differences(photos), *told]
     if all(photo.exif.get("flash") == "off" for photo in photos):
         notes.append("no photo was taken with the flash, as their EXIF says: the highlights are those of the "
                      "room's lights")
     return [photo for photo in photos if photo.size == usual], reasons, notes
+
+
+def with_one_balance(photos: Sequence[Photo]) -> tuple[list[Photo], list[str]]:
+    """RAW files with the white balance that most have, so that values stay comparable; and a note."""
+    usual, count = Counter(photo.balance for photo in photos).most_common(1)[0] if photos else ((), 0)
+    if not usual or count == len(photos):
+        return list(photos), []
+    return [replace(photo, balance=usual) for photo in photos], [
+        f"white balance differs in {len(photos) - count} of {len(photos)} RAW files; all are developed with "
+        f"that of {next(photo.name for photo in photos if photo.balance == usual)}"]
 
 
 def differences(photos: Sequence[Photo]) -> list[str]:
@@ -247,7 +246,7 @@ def _shown(value: float | str) -> str:
     return value if isinstance(value, str) else f"{value:g}"
 
 
-def read_exif(path: Path) -> dict[str, float | str]:
+def read_exif(path: Path, kind: str) -> dict[str, float | str]:
     """What a photo's EXIF says, else empty.
 
     Numbers: "ISO", "exposure time" (s), "focal length" and "35 mm focal length" (mm). Words: "white balance"
@@ -257,7 +256,7 @@ def read_exif(path: Path) -> dict[str, float | str]:
     try:
         from PIL import Image
 
-        with _opened(path) as image:
+        with opened(path, kind) as image:
             block = Image.Image.getexif(image)  # that of a PNG would decode it
             tags = dict(block.get_ifd(0x8769))
             camera = " ".join(str(block.get(tag, "")).strip("\0 ") for tag in (271, 272)).strip()

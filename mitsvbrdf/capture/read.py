@@ -6,7 +6,7 @@ import contextlib
 import os
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import get_args
 
@@ -16,15 +16,17 @@ import torch
 from .. import color
 from ..errors import CaptureError, ConfigError
 from ..io import files
-from ..io.decode import upright
+from ..io.decode import Picture, upright
 from ..io.entry import entry
-from ..io.images import averaged, write_png
+from ..io.images import averaged, unmasked, write_png
 from ..io.json import load
 from ..views import FIELD_OF_VIEW, Falloff, default_views
 from .calibrated import from_json, from_text, stated_in
 from .capture import LEAST_SIDE, Capture
+from .colours import converted, notes_of, used_transfer
 from .lens import field_of_view
-from .photo import Photo, Unreadable, differences, photos_in
+from .photo import Photo, Unreadable, differences, photos_in, with_one_balance
+from .rectify import filled
 
 MOST_SQUARE = 2048  # pixels a side of what is read of a photo without calibration
 
@@ -95,14 +97,15 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
                            "name the folder that was fitted")
     elif stated := stated_in(path):
         capture = from_json(stated, falloff, resolution)
-        capture = replace(capture, notes=(f"the calibration is that of {stated.name}",))
+        capture = replace(capture, notes=(f"the calibration is that of {stated.name}", *capture.notes))
     else:
         capture = _from_plain(path, falloff, resolution, transfer, report)
         if above := _stated_above(path):
             note = f"{above} states views of these photos, which are read without them: name it instead"
             capture = replace(capture, notes=(*capture.notes, note))
     capture = capture if index is None else capture.pick(index)
-    capture = _shrunk(replace(capture, transfer=transfer or capture.transfer), resolution)
+    transfer, told = used_transfer(transfer or capture.transfer, capture.colours)
+    capture = _shrunk(replace(capture, transfer=transfer, notes=(*capture.notes, *told)), resolution)
     if log:
         for note in capture.notes:
             log(note)
@@ -130,7 +133,9 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
                      {"target_dir": "target", "im_size": views.size, "idx": list(range(len(capture))),
                       "camera_pos": views.camera.tolist(), "light_pos": views.light.tolist(),
                       "light_pow": power[0] if all(row == power[0] for row in power) else power,
-                      "transfer": capture.transfer, "calibration": capture.calibration, **(keys or {})})
+                      "transfer": capture.transfer, "calibration": capture.calibration,
+                      "colours": {name: asdict(found) for name, found in capture.colours.items()},
+                      **(keys or {})})
 
 
 def _stated_above(folder: Path) -> Path | None:
@@ -199,11 +204,17 @@ def _rectified(photos: Sequence[Photo], falloff: Falloff, folder: Path, resoluti
 def _unposed(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None,
              notes: Sequence[str], index: Sequence[int] = (0,)) -> Capture:
     """Middle squares of photos as they are shown, in the default geometry."""
-    squares = torch.from_numpy(np.stack([_square(photo, resolution) for photo in photos]))
+    photos, told = with_one_balance(photos)
+    squares, outside = [], {}
+    for photo in photos:
+        found = photo.read()
+        squares.append(_square(photo, found, resolution))
+        outside[photo.name] = found.outside
+    colours = converted({photo.name: photo.profile for photo in photos}, outside)
     share = min(photos[0].size) / max(photos[0].size)
     views = replace(default_views(len(photos), _angle(photos[0]), share), falloff=falloff)
-    return Capture(squares, views, "linear" if photos[0].linear else "srgb", tuple(index), "none", folder,
-                   tuple(notes))
+    return Capture(filled(squares), views, "linear" if photos[0].linear else "srgb", tuple(index), "none",
+                   folder, (*notes, *told, *notes_of(colours)), colours)
 
 
 def _angle(photo: Photo) -> float:
@@ -212,16 +223,23 @@ def _angle(photo: Photo) -> float:
     return field_of_view(focal, *photo.size) if focal else FIELD_OF_VIEW
 
 
-def _square(photo: Photo, resolution: int | None) -> np.ndarray:
-    """The middle square of a photo as shown, S x S x 3 display values, S <= :data:`MOST_SQUARE`, shrunk."""
-    pixels = upright(photo.pixels(), photo.orientation)
+def _square(photo: Photo, found: Picture, resolution: int | None) -> np.ndarray:
+    """The middle square of a photo as shown, S x S x 3 display values, S <= :data:`MOST_SQUARE`, shrunk.
+
+    Where its alpha masks it, it is NaN.
+    """
+    pixels = upright(found.pixels, photo.orientation)
     (height, width), side = pixels.shape[:2], min(pixels.shape[:2])
     if side < LEAST_SIDE:
         raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side",
                            f"{photo.path} of {width} x {height}", "use the original photo")
     top, left = (height - side) // 2, (width - side) // 2
-    square = averaged(pixels[top : top + side, left : left + side], min(side, MOST_SQUARE))
-    return averaged(square, min(len(square), resolution or MOST_SQUARE))
+    middle = np.s_[top : top + side, left : left + side]
+    square = averaged(pixels[middle], min(side, MOST_SQUARE))
+    square = averaged(square, min(len(square), resolution or MOST_SQUARE))
+    if found.opaque is not None:
+        square[~unmasked(upright(found.opaque, photo.orientation)[middle], len(square))] = np.nan
+    return square
 
 
 def _shrunk(capture: Capture, resolution: int | None) -> Capture:

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
 from .capture import LEAST_SIDE
 from .lens import Lens, Pose, project
@@ -22,13 +23,15 @@ class Rectified:
 
     Args:
         pictures: the patch alone, R x R x 3 float32 in [0, 1] with the lens's vignetting; NaN beyond a
-            photo's edges.
+            photo's edges and where its alpha masks it.
         small: whole photos, at most 1024 pixels long, as stored.
+        outside: share of a photo's pixels whose colours lay outside of sRGB.
         notes: what a user should know.
     """
 
     pictures: dict[str, np.ndarray]
     small: dict[str, np.ndarray]
+    outside: dict[str, float]
     notes: tuple[str, ...]
 
     @classmethod
@@ -37,14 +40,16 @@ class Rectified:
         """The photos of ``rig``, in ``resolution`` pixels a side, or in as many as they show."""
         photos = [photo for photo in photos if photo.name in rig.poses]
         shown = int(np.median([_resolved(rig.lens, pose, rig.size) for pose in rig.poses.values()]))
-        side, pictures, small = max(LEAST_SIDE, min(resolution, shown)), {}, {}
+        side = max(LEAST_SIDE, min(resolution, shown))
+        pictures, small, outside = {}, {}, {}
         for n, photo in enumerate(photos):
             report(f"rectifying {photo.name}", n / len(photos))
-            pixels = photo.pixels()
-            pictures[photo.name] = rectified(pixels, rig.lens, rig.poses[photo.name], rig.size, side)
-            small[photo.name] = reduced(pixels, LONG_SIDE)
+            found = photo.read()
+            pictures[photo.name] = rectified(found.pixels, rig.lens, rig.poses[photo.name], rig.size, side,
+                                             found.opaque)
+            small[photo.name], outside[photo.name] = reduced(found.pixels, LONG_SIDE), found.outside
         few = (f"the photos show the patch in {shown} pixels a side, so it is not enlarged to {resolution}",)
-        return cls(pictures, small, few if side < resolution else ())
+        return cls(pictures, small, outside, few if side < resolution else ())
 
 
 def _resolved(lens: Lens, pose: Pose, size: float) -> float:
@@ -53,7 +58,8 @@ def _resolved(lens: Lens, pose: Pose, size: float) -> float:
     return float(np.nan_to_num(np.linalg.norm(np.roll(at, -1, axis=0) - at, axis=1)).min())
 
 
-def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolution: int) -> np.ndarray:
+def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolution: int,
+              opaque: np.ndarray | None = None) -> np.ndarray:
     """A photo as seen from straight above: the patch in R x R pixels, row 0 at the top, undistorted.
 
     Each pixel is the average over its area, from as many samples as the photo has pixels there, or more.
@@ -63,10 +69,11 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
             whole number.
         size: side of the patch.
         resolution: R.
+        opaque: H x W, False where a mask hides the photo; None: nowhere.
 
     Returns:
         R x R x 3 float32 in [0, 1] (integers are divided by their largest), NaN where the photo does not
-        reach.
+        reach or is masked.
     """
     import cv2
 
@@ -88,6 +95,8 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
         low = np.clip(np.floor(where.min(axis=(0, 1))).astype(int) - 2, 0, (width - 1, height - 1))
         high = np.clip(np.ceil(where.max(axis=(0, 1))).astype(int) + 3, low + 1, (width, height))
         window = pixels[low[1] : high[1], low[0] : high[0]].astype(np.float32) / whole
+        if opaque is not None:
+            window[~opaque[low[1] : high[1], low[0] : high[0]]] = np.nan
         sampled = cv2.remap(window, where - low.astype(np.float32), None, cv2.INTER_LINEAR,
                             borderMode=cv2.BORDER_REPLICATE)
         outside = ((where < -0.5) | (where > np.array((width, height)) - 0.5)).any(axis=-1)
@@ -95,3 +104,19 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
         count = part.shape[0] // times
         out[first : first + count] = sampled.reshape(count, times, resolution, times, 3).mean(axis=(1, 3))
     return out
+
+
+def filled(pictures: Sequence[np.ndarray]) -> torch.Tensor:
+    """Photos (R x R x 3), with the mean of the others where one is NaN, else the nearest: N x R x R x 3."""
+    stack = np.stack(pictures)
+    known = np.isfinite(stack)
+    if not known.all():
+        mean = np.where(known, stack, 0).sum(axis=0) / known.sum(axis=0).clip(1)
+        stack = np.where(known, stack, mean)
+        unseen = ~known.any(axis=(0, 3))
+        if unseen.any() and not unseen.all():
+            from scipy.ndimage import distance_transform_edt
+
+            nearest = distance_transform_edt(unseen, return_distances=False, return_indices=True)
+            stack = stack[:, nearest[0], nearest[1]]
+    return torch.from_numpy(stack).clamp(0, 1)

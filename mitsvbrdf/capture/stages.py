@@ -31,6 +31,7 @@ from .align.from_photos import rig_from_photos
 from .align.from_sheet import rig_from_sheet
 from .align.sheet import Sheet
 from .capture import LEAST_SIDE, Capture
+from .colours import converted, notes_of, used_transfer
 from .light.lit import Lit
 from .light.solve import Shading
 from .photo import Photo, of_one_camera
@@ -128,6 +129,9 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
         rig = (rig_from_photos(kept, reference, told) if sheet_cm is None
                else rig_from_sheet(kept, sheet_cm, depth_cm, told))
         rectified = Rectified.of(rig, kept, resolution, _within(report, start + 0.3, 0.2))
+        colours = converted({photo.name: photo.profile for photo in kept}, rectified.outside)
+        transfer, overruled = used_transfer(transfer, colours)
+        notes += overruled
         lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
         found = judge(lit.pictures, lit.views, transfer, lit.overlap, lit.evenness, fired)
         qualities |= found.qualities
@@ -144,11 +148,12 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
     without_pose = [photo for photo in photos if photo.name in rejected.keys() - qualities.keys()]
     rejected |= blurred(without_pose, rejected, rectified.small.values())
     index = tuple(i for i, photo in enumerate(photos) if photo.name in lit.names)
-    capture = Capture(lit.pictures, lit.views, transfer, index, rig.source, photos[0].path.parent)
+    capture = Capture(lit.pictures, lit.views, transfer, index, rig.source, photos[0].path.parent,
+                      colours=colours)
     return CaptureResult(capture, tuple(photos), replace(lit.rig, rejected=rejected), lit.shading, qualities,
                          coverage_angle(lit.views, COVERAGE_SIDE),
                          next_best_view(lit.views, lit.names, rig.unit),
-                         (*notes, *rig.notes, *rectified.notes, *lit.notes))
+                         (*notes, *notes_of(colours), *rig.notes, *rectified.notes, *lit.notes))
 
 
 def _within(report: Report, start: float, length: float) -> Report:

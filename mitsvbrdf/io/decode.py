@@ -1,47 +1,105 @@
-"""PNG and JPEG files to pixels: their header first, within a limit, and damage by the name of the file."""
+"""Pictures in files to pixels: by content, header first, within a limit, and damage by the file's name.
+
+Colours other than those of sRGB are converted here; see :mod:`~mitsvbrdf.io.colour_profile`.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import importlib
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
+from types import ModuleType
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ..errors import InputWarning, MitsvbrdfError
+from .colour_profile import Profile, profile_of, to_srgb
 
 if TYPE_CHECKING:
     from PIL.Image import Image
 
 MOST_PIXELS = 250_000_000  # of a picture; the largest sensors of phones have 200 million
 MOST_BYTES = 8 * MOST_PIXELS  # of its file
+MAGIC = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG", b"II*\0": "TIFF", b"MM\0*": "TIFF"}
+HEIF_BRANDS = b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"
+KINDS = "PNG", "JPEG", "TIFF", "WEBP", "HEIF"
+DNG_VERSION = b"\x12\xc6\1\0\4\0\0\0", b"\xc6\x12\0\1\0\0\0\4"  # tag 50706 of TIFF, four bytes
+EXTRA_SAMPLES = 338  # tag of TIFF
+OPAQUE = 0.98  # of the most opaque pixel; a picture of one alpha has no mask
+# quarter turns against the clock, from how a photo is shown to how the sensor saw it
+UNTURNED = {3: 2, 6: 1, 8: -1}
 
 
 class Header(NamedTuple):
     """What a file says of itself."""
 
-    kind: str  # PNG or JPEG
+    kind: str  # PNG, JPEG, TIFF, WEBP or HEIF
     size: tuple[int, int]  # width and height as stored
     orientation: int  # EXIF's, 1 to 8; 1: shown as stored
     mode: str  # Pillow's name of the channels
+    profile: Profile | None  # of its colours; None: those of sRGB
+
+
+class Picture(NamedTuple):
+    """Pixels of a file as stored.
+
+    Args:
+        pixels: H x W x 3, RGB, 8 or 16 bits, in the colours of sRGB.
+        opaque: H x W, False where its alpha masks a pixel; None: nowhere.
+        outside: share of pixels whose colours lay outside of sRGB.
+    """
+
+    pixels: np.ndarray
+    opaque: np.ndarray | None = None
+    outside: float = 0.0
+
+
+def kind_of(path: Path) -> str:
+    """PNG, JPEG, TIFF, WEBP, HEIF, or RAW for a DNG, by the first bytes of a file; else empty."""
+    with open(path, "rb") as file:
+        head = file.read(4096)
+    if head[4:8] == b"ftyp":
+        return "HEIF" if head[8:12] in HEIF_BRANDS else ""
+    if head[:4] == b"RIFF" and head[8:12] == b"WEBP":
+        return "WEBP"
+    kind = next((kind for start, kind in MAGIC.items() if head.startswith(start)), "")
+    return "RAW" if kind == "TIFF" and any(entry in head for entry in DNG_VERSION) else kind
 
 
 def header(path: Path, error: type[MitsvbrdfError]) -> Header:
-    """Read the header alone, and raise ``error`` for what is no PNG or JPEG, or is larger than any photo."""
+    """Read the header alone, and raise ``error`` for what is no picture, or is larger than any photo."""
     if not path.is_file():  # a pipe or a device would be waited for
         raise error("an image file", f"no file at {path}", "check the name")
-    with _named(path, error), opened(path, ("PNG", "JPEG")) as image:
-        check_size(path, image.size, error)
-        return Header("PNG" if image.format == "PNG" else "JPEG", image.size, orientation(image), image.mode)
+    with _named(path, error):
+        kind = kind_of(path)
+        if kind not in KINDS:
+            raise ValueError("it holds no such picture")
+        if kind == "HEIF":
+            needed("pillow_heif", "heic", path, error).register_heif_opener()
+        with opened(path, kind) as image:
+            size, turned = image.size, orientation(image)
+            if kind == "HEIF":  # decoded as it is shown; the sensor's pixels are what the lens knows
+                turned = image.info.get("original_orientation") or 1
+                size = size[::-1] if turned in (6, 8) else size
+            elif kind == "TIFF":
+                size = image.tag_v2[256], image.tag_v2[257]  # type: ignore[attr-defined]
+            check_size(path, size, error)
+            masked = image.has_transparency_data and (
+                kind != "TIFF" or image.tag_v2.get(EXTRA_SAMPLES, (0,))[0])  # type: ignore[attr-defined]
+            return Header(kind, size, turned if turned in range(1, 9) else 1,
+                          "RGBA" if masked else image.mode, profile_of(image, path))
 
 
-def decoded(path: Path, error: type[MitsvbrdfError]) -> np.ndarray:
-    """A PNG or JPEG as H x W x 3, RGB as stored, 8 or 16 bits. Alpha is dropped, grey repeated.
+def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Picture:
+    """A PNG, JPEG, TIFF, WebP or HEIC file; grey is repeated.
 
-    Raises:
-        MitsvbrdfError: as ``error``: the file is missing, too large, cut short, or damaged beyond reading.
+    Args:
+        path: the file; what it is stands in its content, not in its name.
+        error: raised where the file is missing, too large, cut short, or damaged beyond reading.
+        data: its numbers are no colours, and stay as they are.
 
     Warns:
         InputWarning: a JPEG is damaged; its decoder made up what it could not read.
@@ -49,16 +107,31 @@ def decoded(path: Path, error: type[MitsvbrdfError]) -> np.ndarray:
     about = header(path, error)
     with _named(path, error):
         content = path.read_bytes()
-        if about.kind == "PNG":
-            return _png(path, content)
-        if about.mode in ("L", "RGB"):
-            return _jpeg(path, content)
-        with opened(path) as image:  # of four inks
-            return np.asarray(image.convert("RGB"))
+        if about.kind == "JPEG" and about.mode in ("L", "RGB"):
+            pixels = _jpeg(path, content)
+        elif about.kind == "PNG":
+            pixels = _png(path, content, about.mode == "RGBA")
+        elif about.kind == "TIFF":
+            pixels = _tiff(content, about.mode == "RGBA")
+        else:
+            pixels = _by_pillow(path, about)
+    opaque, outside = None, 0.0
+    if pixels.shape[2] == 4:
+        alpha, pixels = pixels[..., 3], np.ascontiguousarray(pixels[..., :3])
+        opaque = alpha >= OPAQUE * alpha.max()
+        opaque = None if opaque.all() else opaque
+    if about.profile and about.profile.icc and not data:
+        pixels, outside = to_srgb(pixels, about.profile)
+    return Picture(pixels, opaque, outside)
+
+
+def decoded(path: Path, error: type[MitsvbrdfError], data: bool = False) -> np.ndarray:
+    """The pixels of :func:`picture`; alpha is dropped."""
+    return picture(path, error, data).pixels
 
 
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
-    """Pixels (H x W x C) turned as EXIF's orientation says they are shown."""
+    """Pixels (H x W x C or H x W) turned as EXIF's orientation says they are shown."""
     if orientation in (5, 6, 7, 8):
         pixels = pixels.swapaxes(0, 1)
     if orientation in (3, 4, 7, 8):
@@ -77,13 +150,16 @@ def check_size(path: Path, size: tuple[int, int], error: type[MitsvbrdfError]) -
 
 
 @contextlib.contextmanager
-def opened(path: Path, formats: tuple[str, ...] | None = None) -> Iterator[Image]:
-    """The file in Pillow, without Pillow's own limit of pixels: photos of phones have up to 200 million."""
+def opened(path: Path, kind: str) -> Iterator[Image]:
+    """A file of this kind in Pillow, and of no other: Pillow hands PostScript of any name to Ghostscript.
+
+    It is without Pillow's own limit of pixels: photos of phones have up to 200 million.
+    """
     from PIL import Image
 
     most, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
     try:
-        with warnings.catch_warnings(action="ignore"), Image.open(path, formats=formats) as image:  # of EXIF
+        with warnings.catch_warnings(action="ignore"), Image.open(path, formats=(kind,)) as image:  # of EXIF
             yield image
     finally:
         Image.MAX_IMAGE_PIXELS = most
@@ -100,18 +176,21 @@ def orientation(image: Image) -> int:
     return found if found in range(1, 9) else 1
 
 
-def _png(path: Path, content: bytes) -> np.ndarray:
+def _png(path: Path, content: bytes, masked: bool) -> np.ndarray:
     import cv2
 
-    with opened(path) as image:
+    with opened(path, "PNG") as image:
         image.verify()  # its checksums, of which OpenCV only prints
-    how = cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION
+    how = (cv2.IMREAD_UNCHANGED if masked else
+           cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     try:
         pixels = cv2.imdecode(np.frombuffer(content, np.uint8), how)
     except cv2.error as reason:
         raise ValueError(str(reason)) from None
     if pixels is None or pixels.dtype not in (np.uint8, np.uint16):
         raise ValueError("no 8- or 16-bit image")
+    if masked and pixels.ndim == 3 and pixels.shape[2] == 4:
+        return cv2.cvtColor(pixels, cv2.COLOR_BGRA2RGBA, dst=pixels)
     return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB, dst=pixels)
 
 
@@ -122,7 +201,7 @@ def _jpeg(path: Path, content: bytes) -> np.ndarray:
     try:
         return simplejpeg.decode_jpeg(content, strict=True)
     except ValueError as complaint:
-        with opened(path) as image:  # raises for one that ends early
+        with opened(path, "JPEG") as image:  # raises for one that ends early
             image.draft("RGB", (image.width // 8 or 1, image.height // 8 or 1))
             image.load()
         pixels = simplejpeg.decode_jpeg(content, strict=False)
@@ -131,9 +210,42 @@ def _jpeg(path: Path, content: bytes) -> np.ndarray:
         return pixels
 
 
+def _tiff(content: bytes, masked: bool) -> np.ndarray:
+    import imagecodecs
+
+    try:
+        pixels = imagecodecs.tiff_decode(content)
+    except Exception as reason:  # libtiff's own
+        raise ValueError(str(reason)) from None
+    if pixels.dtype not in (np.uint8, np.uint16):
+        raise ValueError(f"an image of 8 or 16 bits is needed, not of {pixels.dtype}")
+    pixels = np.atleast_3d(pixels)
+    if pixels.shape[0] in (3, 4) and pixels.shape[2] > 4:  # a plane each
+        pixels = np.moveaxis(pixels, 0, -1)
+    if pixels.shape[2] < 3:  # grey, with its alpha
+        pixels = np.concatenate((*[pixels[..., :1]] * 3, pixels[..., 1:]), axis=2)
+    return np.ascontiguousarray(pixels[..., :3 + masked])
+
+
+def _by_pillow(path: Path, about: Header) -> np.ndarray:
+    with opened(path, about.kind) as image:
+        pixels = np.asarray(image.convert("RGBA" if about.mode == "RGBA" else "RGB"))
+    return np.rot90(pixels, UNTURNED.get(about.orientation, 0)) if about.kind == "HEIF" else pixels
+
+
+def needed(module: str, extra: str, path: Path, error: type[MitsvbrdfError]) -> ModuleType:
+    """A package that an extra installs, or an error that says so."""
+    try:
+        return importlib.import_module(module)
+    except ImportError:
+        raise error(f"the package {module} for files like {path.name}", "none installed",
+                    f'pip install "mitsvbrdf[{extra}]", or export the photos as JPEG') from None
+
+
 @contextlib.contextmanager
 def _named(path: Path, error: type[MitsvbrdfError]) -> Iterator[None]:
     try:
         yield
     except (OSError, SyntaxError, ValueError) as reason:
-        raise error("a whole PNG or JPEG", f"{path}: {reason}", "copy or export it again") from None
+        raise error("a whole PNG, JPEG, TIFF, WebP or HEIC file", f"{path}: {reason}",
+                    "copy or export it again") from None

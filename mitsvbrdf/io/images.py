@@ -7,34 +7,73 @@ Photos with EXIF, HEIC or raw data are read by :mod:`mitsvbrdf.capture.photo`, w
 from __future__ import annotations
 
 import math
+import warnings
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from ..errors import MitsvbrdfError
-from .decode import decoded, header, upright
+from ..errors import InputWarning, MitsvbrdfError
+from .colour_profile import is_rec709, to_rec709
+from .decode import header, picture, upright
 from .exr import read_exr
 from .files import atomic_write, write_bytes
 
 BAND = 2**22  # pixels that are averaged at a time
+OUTSIDE = 1e-4  # of the brightest value, what a colour may lie outside of Rec. 709 by rounding
 
 
-def read_image(path: Path, error: type[MitsvbrdfError]) -> Tensor:
+def read_image(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Tensor:
     """An image file as float32 H x W x C, row 0 at the top, RGB order, turned as its EXIF says.
 
     8- and 16-bit files give display values in [0, 1]; EXR files give what they hold, of one, two or three
-    channels (:mod:`mitsvbrdf.io.exr`). Alpha is dropped.
+    channels (:mod:`mitsvbrdf.io.exr`). Alpha is dropped. Colours are converted to those of sRGB and Rec. 709
+    where the file states others.
 
-    A missing or unreadable file raises ``error``. A damaged JPEG warns: see
-    :func:`~mitsvbrdf.io.decode.decoded`.
+    Args:
+        path: the file.
+        error: raised where it is missing or unreadable.
+        data: its numbers are no colours (roughness, normals), and stay as they are.
+
+    Warns:
+        InputWarning: a damaged JPEG (see :func:`~mitsvbrdf.io.decode.picture`); colours outside of sRGB,
+            moved to its edge; a colour profile that cannot be used.
     """
     path = Path(path)
     if path.suffix.lower() == ".exr":
-        return torch.from_numpy(read_exr(path, error))
+        linear = torch.from_numpy(read_exr(path, error))
+        return linear if data or linear.shape[2] != 3 else _in_rec709(linear, path, error)
     about = header(path, error)
-    return torch.from_numpy(display(upright(decoded(path, error), about.orientation)))
+    found = picture(path, error, data)
+    if about.profile and about.profile.reason and not data:
+        warnings.warn(f"{path}: {about.profile.name} cannot be used ({about.profile.reason}); the values are "
+                      "taken as sRGB; export it as sRGB", InputWarning, stacklevel=2)
+    _warn_outside(path, found.outside)
+    return torch.from_numpy(display(upright(found.pixels, about.orientation)))
+
+
+def _in_rec709(linear: Tensor, path: Path, error: type[MitsvbrdfError]) -> Tensor:
+    """Pixels of an EXR in the colours of Rec. 709, from those that its header states."""
+    import OpenEXR
+
+    stated = OpenEXR.File(str(path), header_only=True).parts[0].header.get("chromaticities")
+    if stated is None or is_rec709(stated):
+        return linear
+    try:
+        pixels = to_rec709(linear.numpy(), stated)
+    except ValueError as reason:
+        raise error("chromaticities of a colour space", f"{path}: {reason}",
+                    "export it as Rec. 709") from None
+    kept = pixels.clip(0, 1 if linear.max() <= 1 else None)
+    _warn_outside(path, float((np.abs(kept - pixels) > OUTSIDE * pixels.max()).any(axis=-1).mean()))
+    return torch.from_numpy(kept)
+
+
+def _warn_outside(path: Path, share: float) -> None:
+    if share > 0:
+        warnings.warn(f"{path}: {share:.2%} of the pixels have colours outside of sRGB, which were moved to "
+                      "its edge", InputWarning, stacklevel=3)
 
 
 def display(pixels: np.ndarray) -> np.ndarray:
@@ -62,6 +101,14 @@ def averaged(pixels: np.ndarray, side: int) -> np.ndarray:
         begin, end = first * side // height, (first + len(band)) * side // height
         out[begin:end] = cv2.resize(band, (side, end - begin), interpolation=cv2.INTER_AREA)
     return out
+
+
+def unmasked(opaque: np.ndarray, side: int) -> np.ndarray:
+    """Which of ``side`` x ``side`` averages of square pixels (S x S) hold no masked one."""
+    import cv2
+
+    masked = (~opaque).astype(np.float32)
+    return cv2.resize(masked, (side, side), interpolation=cv2.INTER_AREA) == 0
 
 
 def write_exr(path: Path, image: Tensor) -> None:

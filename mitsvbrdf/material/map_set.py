@@ -16,7 +16,7 @@ from ..errors import AssumedWarning, MapsError, MapsWarning
 from ..io import images
 from .conversion import FULL_LEVEL, as_shown
 from .encoding import ENCODINGS, NormalConvention, asked_codes, read_material_json
-from .maps import CHANNELS, SVBRDF, Bsdf
+from .maps import CHANNELS, COLOURS, SVBRDF, Bsdf
 from .naming import FIELD, Source, is_of_field, kind_of, sources
 from .normals import unit_normals
 from .resample import resized
@@ -205,7 +205,7 @@ def read_map(source: Source, name: str, channels: int, code: str) -> Tensor:
     """
     assert source.path is not None
     path, exr = source.path, source.path.suffix.lower() == ".exr"
-    image = images.read_image(path, MapsError)
+    image = images.read_image(path, MapsError, data=name not in COLOURS)
     if not torch.isfinite(image).all():
         raise MapsError("finite values", f"NaN or infinity in {path}", "mend or re-export the map")
     if name == "normal":
@@ -246,7 +246,7 @@ def _without_ringing(image: Tensor, path: Path) -> Tensor:
 
 
 def _from_strip(found: MapSet, path: Path) -> SVBRDF:
-    strip = images.read_image(path, MapsError)
+    strip = images.read_image(path, MapsError, data=True)
     side = strip.shape[0]
     if strip.shape[1] != 4 * side:
         raise MapsError("a strip of four square maps", f"{path} of {strip.shape[1]} x {side}",

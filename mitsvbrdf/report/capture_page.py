@@ -9,11 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from ..capture.photo import UNTURNED, Photo
+from ..capture.photo import Photo
 from ..capture.quality.next_view import HIGHLIGHT_ANGLE
 from ..capture.stages import CaptureResult
 from ..errors import CaptureError
 from ..io import files
+from ..io.decode import UNTURNED
 from ..io.provenance import machine, versions
 from .page import write_page
 from .pictures import at_most, picture_uri, png_uri

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mitsvbrdf.capture.photo import Photo, differences, photos_in, read_exif
-from mitsvbrdf.errors import CaptureError
+from mitsvbrdf.capture.photo import Photo, differences, of_one_camera, photos_in, read_exif
+from mitsvbrdf.errors import CaptureError, InputWarning
 
 
 def picture(height=40, width=60):
@@ -66,7 +66,7 @@ def test_rubbish_in_exif_costs_no_photo(tmp_path):
     (tmp_path / "a.jpg").write_bytes(good.replace(good[good.index(b"Exif") + 6 :][:16], b"no header at all"))
     photo = Photo.open(tmp_path / "a.jpg")
     assert photo.exif == {} and photo.orientation == 1 and photo.pixels().shape == (40, 60, 3)
-    assert not {"ISO", "35 mm focal length"} & read_exif(tmp_path / "b.jpg").keys()  # 0 stands for unknown
+    assert not {"ISO", "35 mm focal length"} & read_exif(tmp_path / "b.jpg", "JPEG").keys()  # 0: unknown
     assert saved(tmp_path / "c.jpg", orientation=77).orientation == 1
     assert not {"ISO", "35 mm focal length"} & saved(tmp_path / "d.jpg", iso=65535,
                                                      focal_35mm=65535).exif.keys()
@@ -134,11 +134,18 @@ def test_smaller_pixels_are_block_averages(tmp_path):
 def test_photos_in_a_folder(tmp_path):
     with pytest.raises(CaptureError, match="none in"):
         photos_in(tmp_path)
-    for name in ("b.JPG", "a.png", ".hidden.jpg", "notes.txt", "c.heic"):
+    names = ["a.png", "b.JPG", "c.heic", "d.jfif", "e.tif", "f.webp", "g.HIF"]
+    for name in (*names, ".hidden.jpg", "notes.txt"):
         (tmp_path / name).touch()
-    assert [path.name for path in photos_in(tmp_path)] == ["a.png", "b.JPG", "c.heic"]
+    assert [path.name for path in photos_in(tmp_path)] == names
+    (tmp_path / "h.exr").touch()
+    (tmp_path / "i.MOV").touch()
+    with pytest.warns(InputWarning, match="files that are not read: h.exr, i.MOV; export"):
+        photos_in(tmp_path)
+    (tmp_path / "h.exr").unlink()
+    (tmp_path / "i.MOV").unlink()
     (tmp_path / "d.dng").touch()
-    with pytest.raises(CaptureError, match="1 RAW files and 3 others"):
+    with pytest.raises(CaptureError, match="1 RAW files and 7 others"):
         photos_in(tmp_path)
     with pytest.raises(CaptureError, match="no folder"):
         photos_in(tmp_path / "none")
@@ -147,7 +154,7 @@ def test_photos_in_a_folder(tmp_path):
 @pytest.mark.parametrize(("name", "extra", "package"),
                          [("a.heic", "heic", "pillow_heif"), ("a.dng", "raw", "rawpy")])
 def test_a_missing_extra_is_named(name, extra, package, tmp_path, monkeypatch):
-    (tmp_path / name).write_bytes(b"anything")
+    (tmp_path / name).write_bytes(b"1234ftypheic" if extra == "heic" else b"anything")
     monkeypatch.setitem(__import__("sys").modules, package, None)  # as if it were not installed
     with pytest.raises(CaptureError, match=rf'pip install "mitsvbrdf\[{extra}\]"'):
         Photo.open(tmp_path / name)
@@ -223,6 +230,34 @@ def test_raw_is_linear_whatever_else_is_in_the_picture(tmp_path):
     (tmp_path / "3.dng").write_bytes(b"II*\0 no raw file")
     with pytest.raises(CaptureError, match="3.dng"):
         Photo.open(tmp_path / "3.dng")
+
+
+def test_raw_files_share_one_white_balance(tmp_path):
+    pytest.importorskip("rawpy", reason='needs pip install "mitsvbrdf[raw]"')
+    mosaic = np.full((64, 96), 500)
+    photos = [Photo.open(dng(tmp_path / f"{i}.dng", mosaic, neutral=neutral))
+              for i, neutral in enumerate([(0.5, 1, 0.6), (0.5, 1, 0.6), (0.4, 1, 0.75)])]
+    kept, _, notes = of_one_camera(photos)
+    values = [photo.pixels()[32, 48].astype(float) for photo in kept]
+    assert np.array_equal(values[0], photos[0].pixels()[32, 48])  # as it was shot
+    assert np.array_equal(values[0], values[2])
+    # the third by itself: red as much stronger as its own balance says
+    assert photos[2].pixels()[32, 48, 0] / values[0][0] == pytest.approx(0.5 / 0.4, rel=1e-3)
+    assert any("white balance differs in 1 of 3 RAW files" in note and "0.dng" in note for note in notes)
+    assert of_one_camera(photos[:2])[2] == []
+
+
+def test_files_are_what_they_hold_whatever_their_names_are(tmp_path):
+    heif = pytest.importorskip("pillow_heif", reason='needs pip install "mitsvbrdf[heic]"')
+    pytest.importorskip("rawpy", reason='needs pip install "mitsvbrdf[raw]"')
+    heif.register_heif_opener()
+    for name, kind in [("a.jpg", "HEIF"), ("b.heic", "JPEG"), ("c.png", "WEBP"), ("d.jfif", "JPEG"),
+                       ("e.tif", "TIFF"), ("f.HIF", "HEIF"), ("g.jpg", "PNG"), ("h.dng", "JPEG")]:
+        Image.fromarray(picture()).save(tmp_path / name, kind, quality=95, exif=exif())
+        photo = Photo.open(tmp_path / name)
+        assert np.abs(photo.pixels().astype(int) - picture()).max() <= 20, name
+        assert photo.exif["camera"] == "Maker Phone 1" and not photo.linear
+    assert Photo.open(dng(tmp_path / "i.tif", np.full((64, 96), 500))).linear
 
 
 @pytest.mark.parametrize("name", ["a.jpg", "b.png", "c.heic"])

@@ -64,7 +64,7 @@ def test_the_header_alone(kind, tmp_path):
     exif = Image.Exif()
     exif[0x0112] = 6
     (tmp_path / "photo").write_bytes(encoded(kind, exif=exif)[:900])
-    assert header(tmp_path / "photo", CaptureError) == (kind, (48, 64), 6, "RGB")
+    assert header(tmp_path / "photo", CaptureError) == (kind, (48, 64), 6, "RGB", None)
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
@@ -79,7 +79,7 @@ def test_pictures_are_turned_as_pillow_turns_them(orientation):
 @pytest.mark.parametrize("kind", ["JPEG", "PNG"])
 def test_a_picture_that_ends_early_is_refused_by_name(tmp_path, kind, share):
     data = encoded(kind)
-    with pytest.raises(CaptureError, match=f"a whole PNG or JPEG, got {tmp_path}/photo"):
+    with pytest.raises(CaptureError, match=f"a whole PNG, .*, got {tmp_path}/photo"):
         read(tmp_path, data[:int(share * len(data))])
 
 
@@ -93,7 +93,7 @@ def test_a_png_with_a_wrong_checksum_is_refused(tmp_path):
 def test_what_is_no_picture_is_refused(tmp_path):
     os.mkfifo(tmp_path / "pipe")  # opening it would wait for ever
     for data in (b"<html>404</html>", encoded("BMP"), bytes(1000)):
-        with pytest.raises(CaptureError, match="a whole PNG or JPEG"):
+        with pytest.raises(CaptureError, match="a whole PNG"):
             read(tmp_path, data)
     for path in (tmp_path / "pipe", tmp_path, tmp_path / "none"):
         with pytest.raises(CaptureError, match=f"no file at {path}"):

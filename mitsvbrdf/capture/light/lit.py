@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +14,7 @@ from ...color import NEARLY_CLIPPED
 from ...errors import CaptureError
 from ...views import Views, texel_positions
 from ..lens import Array, project
-from ..rectify import Rectified
+from ..rectify import Rectified, filled
 from ..rig import Rig
 from .samples import radius2_of, transmission_of
 from .shading import shading_of_material, shading_of_paper
@@ -118,13 +118,3 @@ def without_vignetting(picture: np.ndarray, rig: Rig, name: str, transfer: color
     clipped = linear >= float(color.decode(torch.tensor(NEARLY_CLIPPED, dtype=torch.float64), transfer))
     out = np.where(clipped, np.maximum(out, linear), out).astype(linear.dtype)
     return color.to_display(torch.from_numpy(out), transfer).numpy()
-
-
-def filled(pictures: Sequence[np.ndarray]) -> torch.Tensor:
-    """Photos (R x R x 3), with the mean of the others where one is NaN, else black: N x R x R x 3."""
-    stack = np.stack(pictures)
-    known = np.isfinite(stack)
-    if not known.all():
-        mean = np.where(known, stack, 0).sum(axis=0) / known.sum(axis=0).clip(1)
-        stack = np.where(known, stack, mean)
-    return torch.from_numpy(stack).clamp(0, 1)

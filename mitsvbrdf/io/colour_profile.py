@@ -1,0 +1,214 @@
+"""What colours the numbers of a picture mean: its profile, and pixels in the colours of sRGB and Rec. 709.
+
+8- and 16-bit pictures state an ICC profile, code points of ITU-T H.273 (cICP of PNG, nclx of HEIC), or
+gAMA and cHRM of PNG. littleCMS converts them to sRGB display values, as a viewer with colour management
+shows them. A linear picture (EXR) states chromaticities; a matrix converts it to Rec. 709.
+"""
+
+from __future__ import annotations
+
+import io
+import struct
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ..color import RESPONSES, Operations
+
+if TYPE_CHECKING:
+    from PIL.Image import Image
+
+REC709 = 0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290  # x and y of red, green, blue and white
+ADOBE_RGB = 0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.3290
+REC601 = 0.63, 0.34, 0.31, 0.595, 0.155, 0.07, 0.3127, 0.3290
+PRIMARIES = {  # code points of H.273
+    1: ("Rec. 709", REC709),
+    4: ("Rec. 470 M", (0.67, 0.33, 0.21, 0.71, 0.14, 0.08, 0.310, 0.316)),
+    5: ("Rec. 601, 625 lines", (0.64, 0.33, 0.29, 0.60, 0.15, 0.06, 0.3127, 0.3290)),
+    6: ("Rec. 601, 525 lines", REC601),
+    7: ("Rec. 601, 525 lines", REC601),
+    9: ("Rec. 2020", (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290)),
+    11: ("DCI-P3", (0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.314, 0.351)),
+    12: ("Display P3", (0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.3290)),
+}
+GAMMAS = {4: 2.2, 5: 2.8, 8: 1.0}  # transfer of H.273; viewers show that of video (1, 6, 14, 15) as sRGB's
+HIGH_RANGE = {16: "PQ", 18: "HLG"}
+USUAL_GAMMA = 1 / 2.2, 0.03  # of gAMA; what lies as near as this is what sRGB pictures state
+GREY = "1", "L", "LA", "I", "I;16", "I;16B"  # Pillow's names of channels
+NEAR = 1 / 255  # a profile that moves no colour farther is that of sRGB
+SAMPLE = 2**16  # pixels by which colours outside sRGB are counted
+BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+
+
+class Profile(NamedTuple):
+    """The colours of a picture that are not those of sRGB; of one that cannot be used, the reason."""
+
+    name: str
+    icc: bytes = b""
+    grey: bool = False
+    reason: str = ""
+
+
+def profile_of(image: Image, path: Path) -> Profile | None:
+    """The profile that a picture states; None for sRGB's and for none.
+
+    Args:
+        image: opened by Pillow, its pixels not read yet.
+        path: its file.
+    """
+    points = _cicp(path) if image.format == "PNG" else image.info.get("nclx_profile")
+    icc = image.info.get("icc_profile")
+    if points and (image.format == "PNG" or not icc):
+        return _of_points(points["color_primaries"], points["transfer_characteristics"])
+    if icc:
+        found = _of_icc(icc)
+        wrong = found and found.grey and image.mode not in GREY
+        return Profile(found.name, reason="of grey, beside colours") if found and wrong else found
+    if image.format == "PNG" and "srgb" not in image.info:
+        return _of_png(image)
+    if image.format == "JPEG" and _interoperability(image) == "R03":
+        return _made("Adobe RGB", ADOBE_RGB, 2.19921875)
+    return None
+
+
+def to_srgb(pixels: np.ndarray, profile: Profile) -> tuple[np.ndarray, float]:
+    """Pixels of a profile as sRGB display values.
+
+    Args:
+        pixels: H x W x 3 of 8 or 16 bits; of a grey profile the channels are equal.
+        profile: what they mean.
+
+    Returns:
+        H x W x 3 of 16 bits, and the share of pixels whose colours lie outside of sRGB and were moved to its
+        edge.
+    """
+    source = np.ascontiguousarray(pixels[..., 0] if profile.grey else pixels)
+    every = max(1, pixels[..., 0].size // SAMPLE)
+    some = source.reshape(-1, *source.shape[2:])[::every][None]
+    exact = _transformed(some, profile, np.float32)
+    outside = ((exact < -NEAR) | (exact > 1 + NEAR)).any(axis=-1).mean()
+    return _transformed(source, profile, np.uint16), float(outside)
+
+
+def to_rec709(pixels: np.ndarray, chromaticities: Sequence[float]) -> np.ndarray:
+    """Linear pixels of these chromaticities (x, y of red, green, blue, white) in those of Rec. 709.
+
+    Another white is adapted by Bradford's matrix, so white stays (1, 1, 1).
+
+    Args:
+        pixels: H x W x 3, float.
+        chromaticities: eight numbers.
+
+    Raises:
+        ValueError: they span no colours.
+    """
+    adapted = _adapted(chromaticities[6:], REC709[6:]) @ _to_xyz(chromaticities)
+    matrix = np.linalg.inv(_to_xyz(REC709)) @ adapted
+    if not np.isfinite(matrix).all():
+        raise ValueError(f"chromaticities {tuple(chromaticities)} span no colours")
+    return pixels @ matrix.T.astype(pixels.dtype)
+
+
+def is_rec709(chromaticities: Sequence[float]) -> bool:
+    """Whether these chromaticities are those of Rec. 709, as far as files round them."""
+    return bool(np.allclose(chromaticities, REC709, atol=2e-3))
+
+
+def _to_xyz(chromaticities: Sequence[float]) -> np.ndarray:
+    """The matrix from linear RGB to XYZ in which white has Y = 1."""
+    x, y = np.reshape(np.asarray(chromaticities, np.float64), (4, 2)).T
+    columns = np.stack((x, y, 1 - x - y))
+    white = columns[:, 3] / y[3]
+    try:
+        return columns[:, :3] * np.linalg.solve(columns[:, :3], white)
+    except np.linalg.LinAlgError:
+        return np.full((3, 3), np.nan)
+
+
+def _adapted(white: Sequence[float], to: Sequence[float]) -> np.ndarray:
+    cones = [BRADFORD @ (np.array((x, y, 1 - x - y)) / y) for x, y in (white, to)]
+    return np.linalg.inv(BRADFORD) @ np.diag(cones[1] / cones[0]) @ BRADFORD
+
+
+def _transformed(pixels: np.ndarray, profile: Profile, kind: type) -> np.ndarray:
+    import imagecodecs
+
+    # of 16 bits, littleCMS would interpolate between colours of a grid: off by up to 16/255 from ProPhoto
+    exactly = imagecodecs.CMS.FLAGS.NOOPTIMIZE if pixels.dtype == np.uint16 else 0
+    return imagecodecs.cms_transform(pixels, profile.icc, imagecodecs.cms_profile("srgb"), outdtype=kind,
+                                     colorspace="gray" if profile.grey else "rgb", outcolorspace="rgb",
+                                     flags=exactly)
+
+
+@cache
+def _made(name: str, chromaticities: tuple[float, ...], gamma: float | None) -> Profile | None:
+    """A profile of these chromaticities, with the curve of sRGB for no gamma."""
+    import imagecodecs
+
+    curve = {"gamma": gamma} if gamma else {"transferfunction": RESPONSES["srgb"].decode(
+        np.linspace(0, 1, 4096, dtype=np.float32), Operations(np.where, np.maximum))}
+    return _unless_srgb(Profile(name, imagecodecs.cms_profile(
+        "rgb", whitepoint=chromaticities[6:], primaries=chromaticities[:6], **curve)))
+
+
+def _unless_srgb(profile: Profile) -> Profile | None:
+    """The profile, or None where it moves no colour of a grid farther than :data:`NEAR`."""
+    steps = np.linspace(0, 255, 256 if profile.grey else 9).round().astype(np.uint8)
+    colours = (steps,) * 3 if profile.grey else np.meshgrid(steps, steps, steps)
+    grid = np.stack(colours, axis=-1).reshape(1, -1, 3)
+    return None if np.abs(to_srgb(grid, profile)[0] / 65535 - grid / 255).max() <= NEAR else profile
+
+
+@cache
+def _of_icc(icc: bytes) -> Profile | None:
+    name = "a damaged ICC profile"
+    try:
+        from PIL import ImageCms
+
+        opened = ImageCms.ImageCmsProfile(io.BytesIO(icc))
+        name = ImageCms.getProfileDescription(opened).strip() or "a nameless ICC profile"
+        return _unless_srgb(Profile(name, icc, opened.profile.xcolor_space.strip() == "GRAY"))
+    except Exception as reason:  # littleCMS and its two wrappers raise all kinds
+        return Profile(name, reason=str(reason))
+
+
+def _of_points(primaries: int, transfer: int) -> Profile | None:
+    if transfer in HIGH_RANGE:
+        return Profile(f"the transfer function {HIGH_RANGE[transfer]}", reason="of high dynamic range")
+    if primaries not in (2, *PRIMARIES):  # 2: not stated
+        return Profile(f"colour primaries {primaries} of H.273", reason="not known")
+    return _made(*PRIMARIES.get(primaries, PRIMARIES[1]), GAMMAS.get(transfer))
+
+
+def _of_png(image: Image) -> Profile | None:
+    gamma = image.info.get("gamma")
+    white_first = image.info.get("chromaticity")
+    corners = white_first[2:] + white_first[:2] if white_first else REC709
+    other = 1 / gamma if gamma and abs(gamma - USUAL_GAMMA[0]) > USUAL_GAMMA[1] else None
+    return _made("gAMA and cHRM of PNG", tuple(corners), other) if other or not is_rec709(corners) else None
+
+
+def _cicp(path: Path) -> dict[str, int] | None:
+    """Code points of a PNG, of which Pillow does not tell."""
+    with open(path, "rb") as file:
+        file.seek(8)
+        while len(head := file.read(8)) == 8:
+            length, kind = struct.unpack(">I4s", head)
+            if kind == b"cICP" and length == 4:
+                found = file.read(4)
+                return {"color_primaries": found[0], "transfer_characteristics": found[1]}
+            if kind in (b"IDAT", b"IEND"):
+                return None
+            file.seek(length + 4, 1)
+    return None
+
+
+def _interoperability(image: Image) -> str:
+    """``R03`` of a camera set to Adobe RGB, which often writes no profile (DCF 2.0)."""
+    try:
+        return str(type(image).getexif(image).get_ifd(0xA005).get(1, ""))
+    except Exception:  # an EXIF block that cannot be read
+        return ""

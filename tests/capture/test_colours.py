@@ -1,0 +1,61 @@
+"""Captures say what they converted, and leave out what a mask hides."""
+
+from __future__ import annotations
+
+import json
+
+import cv2
+import numpy as np
+import pytest
+from helpers.colour_files import save_in
+from helpers.stated_captures import json_capture, text_capture
+
+from mitsvbrdf.capture import read_capture, write_capture
+from mitsvbrdf.errors import InputWarning
+
+SHOWN = np.random.default_rng(0).uniform(0.2, 0.8, (16, 16, 3))
+
+
+def test_what_was_converted_is_told_once_and_kept(tmp_path):
+    json_capture(tmp_path / "a", np.zeros((3, 16, 16, 3), np.uint8))
+    for path in (tmp_path / "a").rglob("0*.png"):
+        save_in(path, SHOWN, "Display P3", 16)
+    capture = read_capture(tmp_path / "a")
+    assert capture.photos.numpy() == pytest.approx(np.stack([SHOWN] * 3), abs=0.2 / 255)
+    (note,) = capture.notes
+    assert "3 photos" in note and "0.00%" in note
+    write_capture(capture, tmp_path / "b")
+    (found,) = json.loads((tmp_path / "b" / "capture.json").read_text())["colours"].values()
+    assert found == {"photos": 3, "outside": 0.0}
+    assert read_capture(tmp_path / "b").notes == (note,)
+    # values that were converted by their profile are those of sRGB, whatever is said of them
+    assert read_capture(tmp_path / "a", transfer="linear").transfer == "srgb"
+    assert read_capture(tmp_path / "a", transfer="gamma2.2").transfer == "gamma2.2"
+
+
+def test_a_plain_photo_in_other_colours(tmp_path):
+    save_in(tmp_path / "a.jpg", SHOWN, "ProPhoto")
+    assert "sRGB" in read_capture(tmp_path).notes[0]
+
+
+def test_a_profile_that_cannot_be_used_is_told_once(tmp_path):
+    from PIL import Image
+
+    text_capture(tmp_path, images=np.zeros((3, 16, 16, 3), np.uint8))
+    for path in tmp_path.glob("0*.png"):
+        Image.fromarray((SHOWN * 255).astype(np.uint8)).save(path, icc_profile=b"none")
+    with pytest.warns(InputWarning, match="00.png and 2 more photos: a damaged ICC profile") as told:
+        capture = read_capture(tmp_path)
+    assert len(told) == 1 and not capture.colours
+
+
+@pytest.mark.parametrize("masked", [[0], [0, 1, 2]])
+def test_masked_pixels_are_filled_in(tmp_path, masked):
+    json_capture(tmp_path, np.full((3, 16, 16, 3), 100, np.uint8))
+    for number, path in enumerate(sorted(tmp_path.rglob("0*.png"))):
+        pixels = np.full((16, 16, 4), (100, 100, 100, 255), np.uint8)
+        if number in masked:
+            pixels[:3] = 0
+        cv2.imwrite(str(path), pixels)
+    assert read_capture(tmp_path).photos.numpy() == pytest.approx(100 / 255)
+    assert read_capture(tmp_path, resolution=8).photos.numpy() == pytest.approx(100 / 255)

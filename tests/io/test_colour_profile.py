@@ -1,0 +1,136 @@
+"""Pictures in other colours than sRGB's come out as the sRGB picture they were made from, by closed forms."""
+
+from __future__ import annotations
+
+import io
+import struct
+
+import imagecodecs
+import numpy as np
+import OpenEXR
+import pytest
+from helpers.colour_files import (
+    ACES,
+    SPACES,
+    SRGB,
+    encoded_in,
+    icc_of,
+    save_in,
+    with_chromaticities,
+    with_chunk,
+)
+from PIL import Image, ImageCms
+
+from mitsvbrdf.errors import CaptureError, InputWarning, MapsError
+from mitsvbrdf.io.decode import header, picture
+from mitsvbrdf.io.images import read_image
+
+INSIDE = np.stack(np.meshgrid(*[np.linspace(0.1, 0.9, 9)] * 3), axis=-1).reshape(27, 27, 3)
+
+
+def read_in(path, space, bits=8, display=INSIDE):
+    save_in(path, np.repeat(np.repeat(display, 8, axis=0), 8, axis=1), space, bits)
+    return picture(path, CaptureError)
+
+
+@pytest.mark.parametrize("space", SPACES)
+@pytest.mark.parametrize(("name", "bits", "steps"), [("a.png", 8, 1.5), ("a.png", 16, 0.1), ("a.tif", 8, 1.5),
+                                                     ("a.tif", 16, 0.1), ("a.webp", 8, 1.5)])
+def test_a_picture_is_read_as_the_one_in_srgb(tmp_path, space, name, bits, steps):
+    found = read_in(tmp_path / name, space, bits)
+    error = np.abs(found.pixels[4::8, 4::8] / 65535 - INSIDE)
+    # a step of a wide space's darkest values is several of sRGB's
+    assert found.pixels.dtype == np.uint16 and found.outside == 0
+    assert np.median(error) < 0.5 * steps / 255 and error.mean() < steps / 255
+    assert bits == 8 or error.max() < 1 / 255
+
+
+@pytest.mark.parametrize("space", SPACES)
+@pytest.mark.parametrize("name", ["a.jpg", "a.heic"])
+def test_lossy_pictures_too(tmp_path, space, name):
+    if name == "a.heic":
+        pytest.importorskip("pillow_heif", reason='needs pip install "mitsvbrdf[heic]"')
+    error = read_in(tmp_path / name, space).pixels[4::8, 4::8] / 65535 - INSIDE
+    assert np.abs(np.median(error)) < 1 / 255 and np.median(np.abs(error)) < 2 / 255
+    wrong = np.median(np.abs(encoded_in(INSIDE, space) - INSIDE))  # what is read of it without its profile
+    assert wrong > 3 / 255
+
+
+def test_colours_outside_are_counted(tmp_path):
+    half = np.full((8, 8, 3), 0.5)
+    half[:, :4] = (1.2, -0.1, 0.1)  # a red of Display P3
+    assert read_in(tmp_path / "a.png", "Display P3", 16, half).outside == pytest.approx(0.5)
+
+
+def test_pictures_in_srgb_keep_their_bits(tmp_path):
+    pixels = np.random.default_rng(0).integers(0, 255, (9, 9, 3), np.uint8)
+    for profile in (ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes(),
+                    imagecodecs.cms_profile("srgb"), icc_of(SRGB, None)):
+        Image.fromarray(pixels).save(tmp_path / "a.png", icc_profile=profile)
+        assert np.array_equal(picture(tmp_path / "a.png", CaptureError).pixels, pixels)
+        assert header(tmp_path / "a.png", CaptureError).profile is None
+
+
+def png_with(path, kind, content, colour=(184, 56, 42)):
+    data = io.BytesIO()
+    Image.new("RGB", (4, 4), colour).save(data, "PNG")
+    path.write_bytes(with_chunk(data.getvalue(), kind, content))
+    return path
+
+
+def test_code_points_and_gamma_of_a_png(tmp_path):
+    # Display P3 with sRGB's curve, by code points (ITU-T H.273); the value is ImageMagick's
+    found = picture(png_with(tmp_path / "a.png", b"cICP", bytes((12, 13, 0, 1))), CaptureError)
+    assert np.abs(found.pixels[0, 0] / 257 - (200, 40, 30)).max() < 1
+    # linear: 0.5 is 0.735 in sRGB
+    linear = png_with(tmp_path / "b.png", b"gAMA", struct.pack(">I", 100_000), (128,) * 3)
+    found = picture(linear, CaptureError)
+    assert found.pixels[0, 0] / 65535 == pytest.approx(0.7365, abs=2e-3)
+    usual = png_with(tmp_path / "c.png", b"gAMA", struct.pack(">I", 45455))
+    assert header(usual, CaptureError).profile is None
+
+
+def test_grey_profiles(tmp_path):
+    icc = imagecodecs.cms_profile("gray", whitepoint=(0.3127, 0.3290), gamma=1.0)
+    Image.new("L", (4, 4), 128).save(tmp_path / "a.png", icc_profile=icc)
+    assert picture(tmp_path / "a.png", CaptureError).pixels[0, 0] / 65535 == pytest.approx(0.7365, abs=2e-3)
+    Image.new("RGB", (4, 4), 128).save(tmp_path / "b.png", icc_profile=icc)
+    assert "grey" in header(tmp_path / "b.png", CaptureError).profile.reason
+
+
+@pytest.mark.parametrize(("points", "name"), [((9, 16, 0, 1), "PQ"), ((9, 18, 0, 1), "HLG"),
+                                              ((77, 13, 0, 1), "primaries 77")])
+def test_what_cannot_be_used_is_named(tmp_path, points, name):
+    path = png_with(tmp_path / "a.png", b"cICP", bytes(points))
+    with pytest.warns(InputWarning, match=f"a.png.*{name}.*cannot be used"):
+        read_image(path, MapsError)
+    Image.new("RGB", (4, 4), 128).save(tmp_path / "b.png", icc_profile=b"no profile")
+    with pytest.warns(InputWarning, match="b.png.*damaged ICC profile cannot be used"):
+        read_image(tmp_path / "b.png", MapsError)
+
+
+def test_numbers_that_are_no_colours_stay(tmp_path):
+    save_in(tmp_path / "a.png", INSIDE, "Adobe RGB", 8)
+    stored = np.asarray(Image.open(tmp_path / "a.png")) / np.float32(255)
+    assert np.array_equal(read_image(tmp_path / "a.png", MapsError, data=True).numpy(), stored)
+
+
+@pytest.mark.parametrize("space", [*SPACES, "ACES"])
+def test_chromaticities_of_an_exr(tmp_path, space):
+    linear = INSIDE.astype(np.float32)
+    corners = ACES if space == "ACES" else SPACES[space][0]
+    with_chromaticities(tmp_path / "a.exr", encoded_in(linear, corners, curve=False), corners)
+    assert read_image(tmp_path / "a.exr", MapsError).numpy() == pytest.approx(linear, abs=2e-3)
+    raw = read_image(tmp_path / "a.exr", MapsError, data=True)
+    assert np.abs(raw.numpy() - linear).max() > 0.02
+
+
+def test_an_exr_outside_of_rec709_is_told(tmp_path):
+    corners = SPACES["Display P3"][0]
+    with_chromaticities(tmp_path / "a.exr", np.full((4, 4, 3), (1, 0, 0), np.float32), corners)
+    with pytest.warns(InputWarning, match="a.exr: 100.00% of the pixels"):
+        assert read_image(tmp_path / "a.exr", MapsError)[0, 0].tolist() == [1, 0, 0]
+    with_chromaticities(tmp_path / "b.exr", np.ones((4, 4, 3), np.float32), (0.3,) * 8)
+    with pytest.raises(MapsError, match="b.exr.*span no colours"):
+        read_image(tmp_path / "b.exr", MapsError)
+    assert OpenEXR.File(str(tmp_path / "a.exr")).channels()["RGB"].pixels.shape == (4, 4, 3)
