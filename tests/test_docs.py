@@ -159,12 +159,12 @@ def test_evaluation_page_commands(photos):
     run_shortened(commands(ROOT / "docs/evaluation.md"))
 
 
-def test_python_of_the_formats_page(photos):
+def test_python_of_the_export_page(photos):
     """It loads the exported material into Mitsuba."""
     import mitsuba as mi
 
     assert cli.main(["export", "builtin:inlay", "--to", "mitsuba", "-o", "out/export", "--no-preview"]) == 0
-    (line,) = re.findall(r"^    (bsdf = mi\.load_file.*\n)", (ROOT / "docs/formats.md").read_text(), re.M)
+    (line,) = re.findall(r"^    (bsdf = mi\.load_file.*\n)", (ROOT / "docs/export.md").read_text(), re.M)
     with using_mitsuba("llvm_ad_rgb"):
         names = {"mi": mi}
         exec(line, names)  # noqa: S102  (our own text)

@@ -41,8 +41,8 @@ Strict = Annotated[bool, arg(help="Refuse damaged photos and maps. Default: mend
 Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], arg(help="Mitsuba variant.")]
 ViewList = Annotated[str | None, arg(metavar="0,1,2,...", help="Numbers of photos to use. Default: all.")]
 Material = Annotated[str, arg(metavar="MAPS", help=(
-    "The OUT of a fit (OUT/detail for its plausible detail), maps, a .glb, or builtin:NAME (inlay, "
-    "tiles, leather, plates)."))]
+    "The OUT of a fit (OUT/detail for its plausible detail), a folder of maps, a .glb file, or builtin:NAME "
+    "(inlay, tiles, leather, plates)."))]
 ViewSource = Annotated[str, arg(help="A capture with the views, or builtin:grid (nine from two sides away).")]
 Photos = Annotated[Path, arg(metavar="CAPTURE", help=(
     "A folder of photos, calibrated or plain; see docs/formats.md."))]
