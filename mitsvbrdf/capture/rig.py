@@ -37,6 +37,7 @@ class Rig:
         rejected: reason, by name of each photo that is not used.
         deviations: standard deviation of a camera's position in ``unit``, by name, where it is known.
         notes: what the user should know about it.
+        tags: of the sheet's 16, how many each photo shows, by name; not in the JSON.
     """
 
     lens: Lens
@@ -48,11 +49,13 @@ class Rig:
     rejected: dict[str, str] = field(default_factory=dict)
     deviations: dict[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    tags: dict[str, int] = field(default_factory=dict)
 
 
 def rig_to_json(rig: Rig) -> dict:
     """A rig as numbers, lists and texts, for ``capture.json["rig"]``."""
-    return msgspec.to_builtins(rig, enc_hook=np.ndarray.tolist)
+    return {key: value for key, value in msgspec.to_builtins(rig, enc_hook=np.ndarray.tolist).items()
+            if key != "tags"}
 
 
 def check_enough(kept: Sized, rejected: Mapping[str, str], what: str = "that can be used",
@@ -79,7 +82,12 @@ def check_places(rig: Rig) -> None:
     """Raise OnePlace where all photos are from one place."""
     camera = np.stack([pose.position for pose in rig.poses.values()])
     if camera.std(axis=0).max() < ONE_PLACE * camera[:, 2].mean():
-        raise OnePlace("photos from different places",
-                       f"{len(camera)} photos that show everything in the same place: from a tripod, or "
-                       "rectified already",
-                       "move the phone between photos; `mitsvbrdf fit` takes rectified photos as they are")
+        raise one_place(len(camera))
+
+
+def one_place(count: int) -> OnePlace:
+    """What to raise for so many photos."""
+    return OnePlace("photos from different places",
+                    f"{count} photos that show everything in the same place: from a tripod, or rectified "
+                    "already",
+                    "move the phone between photos; `mitsvbrdf fit` takes rectified photos as they are")

@@ -81,13 +81,15 @@ def _print(result: CaptureResult) -> None:
     from ..capture.quality.next_view import HIGHLIGHT_ANGLE
 
     table = Table(title=f"{len(result.used)} of {len(result.photos)} photos used", title_justify="left")
-    for heading in ("photo", "", "reprojection", "sharpness", "clipped"):
+    tags = result.rig.tags
+    for heading in ("photo", "", *(["tags"] if tags else []), "reprojection", "sharpness", "clipped"):
         text = heading in ("photo", "")
         table.add_column(heading, justify="left" if text else "right", no_wrap=not text)
     number = {name: f"used as {i:02d}" for i, name in enumerate(result.used)}
     for photo in result.photos:
         quality, error = result.qualities.get(photo.name), result.rig.errors.get(photo.name)
         table.add_row(photo.name, result.rig.rejected.get(photo.name) or number[photo.name],
+                      *([f"{tags[photo.name]} of 16" if photo.name in tags else ""] if tags else []),
                       "" if error is None else f"{error:.2f} px",
                       *((f"{quality.sharpness:.2f}", f"{quality.clipped:.0%}") if quality else ("", "")))
     print_rich(table, markup=False)

@@ -17,12 +17,12 @@ from ...errors import CaptureError
 from ...io.layout import Layout
 from ..lens import Array, Lens, Pose, expected_lens, project, unsure_note
 from ..photo import Photo
-from ..rig import Rig, check_enough
+from ..rig import LEAST_PHOTOS, Rig, check_enough, one_place
 from .planar import POSE
 from .sheet import Sheet
 from .tag_edges import POINTS, Edges, find_edges
+from .tag_search import LEAST_TAGS
 
-LEAST_TAGS = 4
 # Deviations of the priors: EXIF's focal length is rounded to a millimetre and means the diagonal or the long
 # side; without it a phone is somewhere between its wide and its tele lens. The principal point as a share of
 # the long side.
@@ -30,6 +30,7 @@ FOCAL_SHARE, FOCAL_SHARE_UNKNOWN, CENTRE_SD, DISTORTION_SD = 0.05, 0.4, 0.005, 0
 NOISE = 2e-5  # of the long side: what points on edges are off by in good photos, 0.08 pixels of 4000
 # errors of a photo that are too large: as a share of the long side, and beside the others
 LARGE, TIMES_MEDIAN = 5e-4, 6.0
+STILL = 0.1  # of a tag's side: how far tags move from photo to photo, below which the camera stood still
 UNSURE = 0.01  # deviation of the focal length, as a share, that is worth a note
 
 LENS = Layout(log_focal=(), centre=(2,), distortion=(2,))  # its unknowns: what is added to the start
@@ -53,17 +54,20 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
 
     Raises:
         CaptureError: fewer than three photos show the sheet.
+        OnePlace: all photos show it in the same place.
     """
-    sheet, seen, rejected = Sheet(size_cm), dict[str, Edges](), dict[str, str]()
+    sheet, seen, rejected, tags = Sheet(size_cm), dict[str, Edges](), dict[str, str](), dict[str, int]()
     for i, photo in enumerate(photos):
         report(f"tags of {photo.name}", 0.8 * i / len(photos))
         edges = find_edges(photo, sheet)
+        tags[photo.name] = len(edges.corners)
         if reason := _too_few(edges, sheet):
             rejected[photo.name] = reason
         else:
             seen[photo.name] = edges
     stated = [photo.exif["35 mm focal length"] for photo in photos
               if photo.name in seen and "35 mm focal length" in photo.exif]
+    _check_moved(seen)
     size = photos[0].size
     start = expected_lens(size, stated), FOCAL_SHARE if stated else FOCAL_SHARE_UNKNOWN
     while True:
@@ -84,7 +88,11 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
         notes.append(f"the tags of all photos are some {usual:.1f} pixels beside where those of a flat "
                      "sheet would be, and all views as uncertain as that: flatten the sheet, and take all "
                      "photos with one lens")
-    return Rig(lens, poses, sheet.patch, "cm", "sheet", errors, rejected, deviations, tuple(notes))
+    if trimmed := [name for name, edges in seen.items() if edges.trimmed]:
+        notes.append(f"no white around the tags in {', '.join(trimmed)}: they were measured inside; keep the "
+                     "white rim of the sheet")
+    return Rig(lens, poses, sheet.patch, "cm", "sheet", errors, rejected, deviations, tuple(notes),
+               tags)
 
 
 def refuse_tags(photos: Sequence[Photo],
@@ -95,18 +103,29 @@ def refuse_tags(photos: Sequence[Photo],
         photos: those of a capture.
         how: what to do with the size.
     """
-    count = len(find_edges(photos[0], Sheet()).corners) if photos else 0
+    count = len(find_edges(photos[0], Sheet(), patient=False).corners) if photos else 0
     if count >= LEAST_TAGS:
         raise CaptureError("--sheet CM for photos of a sheet of tags",
                            f"{count} tags in {photos[0].name} and no size",
                            f"measure the frame of tags from outer edge to outer edge and {how}")
 
 
+def _check_moved(seen: dict[str, Edges]) -> None:
+    """Raise OnePlace where all photos show the tags in the same place."""
+    shared = set.intersection(*(set(edges.corners) for edges in seen.values())) if seen else set()
+    if len(seen) < LEAST_PHOTOS or not shared:
+        return
+    at = np.array([[edges.corners[number] for number in sorted(shared)] for edges in seen.values()])
+    side = np.linalg.norm(at[..., 1, :] - at[..., 0, :], axis=-1).mean()
+    if np.sqrt(np.square(at - at.mean(axis=0)).sum(axis=-1).mean()) < STILL * side:
+        raise one_place(len(seen))
+
+
 def _too_few(edges: Edges, sheet: Sheet) -> str | None:
     """Why these tags do not tell a pose, or None."""
     count = len(edges.corners)
     if count < LEAST_TAGS:
-        return f"{count or 'none'} of 16 tags seen, {LEAST_TAGS} needed"
+        return edges.fault or f"{count or 'none'} of 16 tags seen, {LEAST_TAGS} needed"
     centres = np.array([sheet.corners[number][:, :2].mean(axis=0) for number in edges.corners])
     if np.linalg.svd(centres - centres.mean(axis=0), compute_uv=False)[1] < sheet.size / 10:
         return f"{count} of 16 tags seen, all in one line"

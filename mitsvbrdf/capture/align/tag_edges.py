@@ -7,6 +7,7 @@ middle between black and white.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,16 +17,16 @@ from numpy.typing import NDArray
 from ...color import decode
 from ..lens import Array
 from ..photo import Photo
+from .cut_tags import measured_inside
 from .features import mapped
-from .sheet import CODES, TAG, Sheet, tag_cells
+from .sheet import TAG, Sheet
+from .tag_profiles import PROFILE, Measured, crossings, profile_values
+from .tag_search import LEAST_TAGS, at_rim, detected, expected, fault_of, sought, sought_by_features
 
 MOST_PIXELS = 4100  # of the long side that is measured; 12 megapixels are 4032 wide
-SEARCHED = 2050  # of the long side where tags are looked for at first
 POINTS, WIDTH = 8, 4  # measured along each edge, from as many profiles each
-PROFILE = 33  # samples across an edge
 # of a profile to both sides: in cells, in the last pass no more than so many pixels
 REACH, REACH_PIXELS = 0.75, 8.0
-CONTRAST = 0.03  # linear, between white and black, below which nothing is measured
 # of each edge, or the tag does not count; glare, a finger or the rim of the photo took the others
 LEAST_POINTS = 3
 
@@ -39,16 +40,24 @@ class Edges:
         pixels: in the stored photo, K x 2.
         across: unit vectors across the edges in the photo, K x 2; along them alone a point is known.
         corners: of each tag in the photo (4 x 2) by id, in the order of :attr:`Sheet.corners`.
+        trimmed: whether no white around the tags told where they are.
+        fault: why there are hardly any, where that is known.
     """
 
     plane: Array
     pixels: Array
     across: Array
     corners: dict[int, Array]
+    trimmed: bool = False
+    fault: str | None = None
 
 
-def find_edges(photo: Photo, sheet: Sheet) -> Edges:
-    """The tags of a photo, which is read at no more than 4100 pixels a side."""
+def find_edges(photo: Photo, sheet: Sheet, patient: bool = True) -> Edges:
+    """The tags of a photo, which is read at no more than 4100 pixels a side.
+
+    Args:
+        patient: whether a photo that hardly shows any is searched by other means, for what may be wrong, too.
+    """
     import cv2
 
     times = -(-max(photo.size) // MOST_PIXELS)
@@ -57,13 +66,15 @@ def find_edges(photo: Photo, sheet: Sheet) -> Edges:
     linear = decode(torch.from_numpy(levels), "linear" if photo.linear else "srgb").numpy().astype(np.float32)
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     del image
-    plane, pixels, across, corners = [], [], [], {}
     shown = (np.sqrt(levels) if photo.linear else levels) * 255
-    for number, found in _detected(grey if levels.size == 256 else shown.astype(np.uint8)[grey]).items():
-        measured = _measured(grey, linear, found)
-        if measured is None:
-            continue
-        cells, at, normals, found = measured
+    search = _Search(sheet, grey, grey if levels.size == 256 else shown.astype(np.uint8)[grey], linear)
+    measured = search.measured(patient)
+    if trimmed := patient and len(measured) < LEAST_TAGS:
+        corners = sought_by_features(photo, sheet)
+        measured |= search.inside({number: (at + 0.5) / times - 0.5 for number, at in corners.items()})
+    none = patient and len(measured) < LEAST_TAGS
+    plane, pixels, across, corners = [], [], [], {}
+    for number, (cells, at, normals, found) in sorted(measured.items()):
         top_left, top_right, _, bottom_left = sheet.corners[number][:, :2]
         plane.append(top_left + (cells @ np.stack((top_right - top_left, bottom_left - top_left))) / TAG)
         pixels.append((at + 0.5) * times - 0.5)
@@ -71,31 +82,51 @@ def find_edges(photo: Photo, sheet: Sheet) -> Edges:
         corners[number] = (found + 0.5) * times - 0.5
     on_sheet, in_photo, turned = (np.concatenate(part) if part else np.zeros((0, 2))
                                   for part in (plane, pixels, across))
-    return Edges(on_sheet, in_photo, turned, corners)
+    return Edges(on_sheet, in_photo, turned, corners, trimmed and not none,
+                 fault_of(search.shown) if none else None)
 
 
-def _detected(grey: NDArray[np.uint8]) -> dict[int, Array]:
-    """Corners of the tags (4 x 2) by id; a tag that is seen twice is none."""
-    import cv2
+@dataclass(frozen=True)
+class _Search:
+    """A photo as it is searched for the tags of a sheet.
 
-    cells = [np.ascontiguousarray(tag_cells(number)[1:-1, 1:-1]).astype(np.uint8)
-             for number in range(len(CODES))]
-    rows = [cv2.aruco.Dictionary.getByteListFromBits(middle) for middle in cells]
-    # A dictionary of our own cells: OpenCV's has this family upside down.
-    detector = cv2.aruco.ArucoDetector(cv2.aruco.Dictionary(np.concatenate(rows), 6, 5))
-    times = -(-max(grey.shape) // SEARCHED)
-    found: dict[int, Array] = {}
-    for step in dict.fromkeys((times, 1)):
-        small = (cv2.resize(grey, None, fx=1 / step, fy=1 / step, interpolation=cv2.INTER_AREA) if step > 1
-                 else grey)
-        corners, numbers, _ = detector.detectMarkers(small)
-        numbers = [] if numbers is None else np.ravel(numbers).tolist()
-        for number, four in zip(numbers, corners):
-            if numbers.count(number) == 1 and number not in found:
-                found[number] = (four.reshape(4, 2).astype(np.float64) + 0.5) * step - 0.5
-        if len(found) == len(CODES):
-            break
-    return dict(sorted(found.items()))
+    Args:
+        grey: H x W, 8 or 16 bits.
+        shown: the same in 8 bits.
+        linear: radiance by value of ``grey``.
+    """
+
+    sheet: Sheet
+    grey: NDArray
+    shown: NDArray[np.uint8]
+    linear: NDArray[np.float32]
+
+    def measured(self, patient: bool) -> dict[int, Measured]:
+        """What is measured by id of the tag.
+
+        Tags that touch the photo's edge are measured inside. Where all others are too few, tags are looked
+        for again, and all measured inside.
+        """
+        found = {number: _measured(self.grey, self.linear, corners)
+                 for number, corners in detected(self.shown).items()}
+        measured = {number: m for number, m in found.items() if m}
+        starts, few = {number: m[-1] for number, m in measured.items()}, len(measured) < LEAST_TAGS
+        if few:
+            starts = sought(self.shown, patient) | starts
+        for _ in range(2):
+            missing = {number: corners for number, corners in expected(starts, self.sheet).items()
+                       if number not in measured and (few or at_rim(corners, self.grey.shape))}
+            measured |= self.inside(missing) if few else {}
+            measured |= self.inside({number: starts.get(number, corners) for number, corners in
+                                     missing.items() if number not in measured})
+            starts = {number: m[-1] for number, m in measured.items()}
+        return measured
+
+    def inside(self, corners: Mapping[int, Array]) -> dict[int, Measured]:
+        """What is measured inside tags that should have these corners (4 x 2), by id."""
+        found = {number: measured_inside(self.grey, self.linear, number, at)
+                 for number, at in corners.items()}
+        return {number: m for number, m in found.items() if m}
 
 
 # Points in the middle of each edge's parts and the ways outward, in cells; edges top, right, bottom, left.
@@ -105,14 +136,11 @@ _WAY = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
 _OUT = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])
 
 
-def _measured(grey: NDArray, linear: NDArray[np.float32],
-              corners: Array) -> tuple[Array, Array, Array, Array] | None:
+def _measured(grey: NDArray, linear: NDArray[np.float32], corners: Array) -> Measured | None:
     """Points of a tag's edges in cells from its top left corner, in pixels, the ways across; its corners."""
     import cv2
 
-    low = np.maximum(np.floor(corners.min(axis=0) - np.ptp(corners, axis=0) / 4).astype(int), 0)
-    high = np.ceil(corners.max(axis=0) + np.ptp(corners, axis=0) / 4).astype(int) + 1
-    window = linear[grey[low[1] : high[1], low[0] : high[0]]]
+    found = corners
     on = _FROM[:, None] + _ALONG[:, None] * _WAY[:, None]  # 4 x (POINTS * WIDTH) x 2
     for last in (False, True):
         warp = cv2.getPerspectiveTransform(_FROM.astype(np.float32),
@@ -121,11 +149,9 @@ def _measured(grey: NDArray, linear: NDArray[np.float32],
         reach = min(REACH, REACH_PIXELS / cell) if last else REACH
         steps = np.linspace(-reach, reach, PROFILE)
         at = mapped(warp, on[:, :, None] + steps[:, None] * _OUT[:, None, None])
-        where = (at - low).astype(np.float32).reshape(4 * POINTS * WIDTH, PROFILE, 2)
-        values = cv2.remap(window, where, None, cv2.INTER_CUBIC, borderMode=cv2.BORDER_CONSTANT,
-                           borderValue=(np.nan,))
-        values = values.reshape(4, POINTS, WIDTH, PROFILE).mean(axis=2, dtype=np.float64)
-        offset = _crossings(values, steps)
+        values = profile_values(grey, linear, found, at).reshape(4, POINTS, WIDTH, PROFILE)
+        values = values.mean(axis=2, dtype=np.float64)
+        offset = crossings(values, steps)
         good = np.isfinite(offset)
         if (good.sum(axis=1) < LEAST_POINTS).any():
             return None
@@ -137,22 +163,6 @@ def _measured(grey: NDArray, linear: NDArray[np.float32],
     normal = (np.stack((tangent[..., 1], -tangent[..., 0]), axis=-1)
               / np.linalg.norm(tangent, axis=-1, keepdims=True))
     return middle[good], pixels[good], normal[good], corners
-
-
-def _crossings(values: Array, steps: Array) -> Array:
-    """Where profiles (... x PROFILE, black to white) cross the middle between their ends once, else NaN."""
-    quarter = PROFILE // 4
-    black, white = np.median(values[..., :quarter], axis=-1), np.median(values[..., -quarter:], axis=-1)
-    above = values > ((black + white) / 2)[..., None]
-    once = np.diff(above, axis=-1).sum(axis=-1) == 1
-    with np.errstate(invalid="ignore"):
-        clear = (white - black > CONTRAST) & once & np.isfinite(values).all(axis=-1)
-    first = np.argmax(above, axis=-1)
-    before = np.maximum(first - 1, 0)
-    a, b = (np.take_along_axis(values, i[..., None], axis=-1)[..., 0] for i in (before, first))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        share = ((black + white) / 2 - a) / (b - a)
-    return np.where(clear, steps[before] + share * (steps[1] - steps[0]), np.nan)
 
 
 def _corners(sides: list[Array]) -> Array:

@@ -104,6 +104,9 @@ def _views(rig: Rig, shading: Shading | None) -> Views:
         return Views.of(camera, light, math.pi * float(np.median(np.square(camera).sum(axis=1))), rig.size)
     power = [[i * math.exp(shading.log_exposure.get(name, 0.0)) for i in shading.intensity]
              for name in rig.poses]
+    for own, name in zip(power, rig.poses):
+        if name in shading.tint:
+            own[:] = (np.array(own) * shading.tint[name]).tolist()
     return Views.of(camera, light, power, rig.size)
 
 

@@ -20,7 +20,8 @@ large, and the priors remain.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,6 +35,9 @@ from .solve import Shading, solve_light
 # albedo of white office paper; 0.75 to 0.9, ISO 2470 brightness without optical brighteners
 PAPER_ALBEDO = 0.8
 MOST_ALBEDO = 0.8
+# natural logarithm of a colour beside the median photo's, from which on its white balance is another;
+# points that a photo must show for it
+TINTED, LEAST_COLOURED = 0.03, 20
 # usual one, and sd of its logarithm; dielectrics have 0.04, but one lobe for all finds less: 0.005 to 0.06
 LOBE_F0 = 0.03, 0.6
 
@@ -58,9 +62,48 @@ def shading_of_paper(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color
     seen = {name: paper_samples(photos[name], rig.lens, pose, white, depth, transfer)
             for name, pose in rig.poses.items() if name in photos}
     found = solve_light(rig, Samples.of(rig, seen, "white paper", glossy=False))
+    notes, tint = (f"paper is taken to be white with an albedo of {albedo:g}",), tint_of(found.samples)
     intensity = np.exp(found.level + found.colour) * math.pi / albedo
-    return found.shading(intensity, found.level_sd,
-                         (f"paper is taken to be white with an albedo of {albedo:g}",))
+    if tint:
+        notes += (_said(tint, "the paper", "taken out"),)
+        intensity = np.exp(found.level + _colours(found.samples, without=tint)[1]) * math.pi / albedo
+    return replace(found.shading(intensity, found.level_sd, notes), tint=tint)
+
+
+def tint_of(samples: Samples) -> dict[str, Array]:
+    """White balance of photos, as factors of rgb, in which it is not that of most photos, by name."""
+    own, usual = _colours(samples)
+    return {name: np.exp(colour - usual) for name, colour in own.items()
+            if np.abs(colour - usual).max() > TINTED}
+
+
+def _colours(samples: Samples, without: Collection[str] = ()) -> tuple[dict[str, Array], Array]:
+    """Logarithms of rgb over their mean in each photo beside what others show of its texels, and the usual.
+
+    The usual colour is the median over photos.
+    """
+    count = samples.texel.max() + 1
+    one = count == 1  # paper, which is the same everywhere
+    own, base = {}, np.zeros((count, 3))
+    if not one:
+        order = np.argsort(samples.texel, kind="stable")
+        ends = np.searchsorted(samples.texel[order], np.arange(1, count))
+        for texel, part in enumerate(np.split(order, ends)):
+            base[texel] = np.median(samples.colour[part], axis=0) if len(part) else 0.0
+    for number, name in enumerate(samples.names):
+        at = samples.photo == number
+        if at.sum() >= LEAST_COLOURED:
+            own[name] = np.median(samples.colour[at] - base[samples.texel[at]], axis=0)
+    kept = [colour for name, colour in own.items() if name not in without]
+    return own, np.median(kept, axis=0) if kept else np.zeros(3)
+
+
+def _said(tint: Mapping[str, Array], where: str, done: str) -> str:
+    """A note on photos of another white balance."""
+    listed = ", ".join(f"{name} ({', '.join(f'{factor - 1:+.0%}' for factor in rgb)})"
+                       for name, rgb in tint.items())
+    return (f"white balance differs in {listed} in red, green, blue, as {where} shows: {done}; lock it for "
+            "comparable photos")
 
 
 def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color.Transfer) -> Shading:
@@ -89,7 +132,10 @@ def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: co
     power = (by_albedo * math.log(middle / USUAL_ALBEDO[0])
              + by_lobe * math.log(math.pi * found.lobe / LOBE_F0[0]))
     intensity = max(math.exp(power / (by_albedo + by_lobe)), most / MOST_ALBEDO)
+    tint = tint_of(found.samples)
     notes = ("how bright the flash is cannot be told from these photos; it is taken to be such that "
              f"highlights reflect {math.pi * found.lobe / intensity:.1%} of it and the median albedo is "
              f"{middle / intensity:.2f}",)
+    if tint:
+        notes += (_said(tint, "the material", "not taken out; a sheet of white paper would tell it surely"),)
     return found.shading(np.full(3, intensity), 1 / math.sqrt(by_albedo + by_lobe), notes)

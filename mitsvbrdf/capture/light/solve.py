@@ -8,7 +8,7 @@ flash would make.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -42,6 +42,7 @@ class Shading:
         evenness: by name, 0 where light falls off as a flash's, 1 where it is even; 0 too where that cannot
             be told.
         notes: what was assumed, and which photos do not count.
+        tint: of photos whose white balance is not that of the others, by name: factors of rgb.
     """
 
     lens: Lens
@@ -51,6 +52,7 @@ class Shading:
     exposure_deviations: dict[str, float]
     evenness: dict[str, float]
     notes: tuple[str, ...] = ()
+    tint: dict[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,11 @@ import numpy as np
 import pytest
 from helpers.tag_sheet import LENS, POSES, SHEET, on_grey, photograph
 
+from mitsvbrdf.capture.align.from_sheet import rig_from_sheet
 from mitsvbrdf.capture.align.tag_edges import _measured, find_edges
-from mitsvbrdf.capture.lens import project
+from mitsvbrdf.capture.lens import Lens, Pose, project
+from mitsvbrdf.capture.photo import Photo
+from mitsvbrdf.capture.rig import OnePlace
 
 
 @pytest.mark.parametrize("i", range(5))
@@ -37,3 +40,58 @@ def test_a_tag_of_which_too_little_shows_does_not_count(tmp_path, shown, points)
     if found:
         assert abs(len(found[0]) - points) <= 1
         assert np.abs(found[3] - project(LENS, POSES[0], SHEET.corners[6])).max() < 0.2
+
+
+# Pictures hardly larger than the frame of tags, of a lens that bends; how many tags have all or part in them.
+CLOSE = Lens((760, 760), 1400.0, (381.0, 378.0), (0.03, 0.0))
+
+
+@pytest.mark.parametrize("position, target, least", [
+    ((0.5, -0.3, 32.7), (0, 0, 0), 16), ((3, 2, 32.7), (0, 0, 0), 16), ((-4, 3, 32.4), (0.1, 0.1, 0), 14),
+    ((2, 3, 31.6), (0, 0, 0), 14), ((2, 3, 32), (1.2, 0, 0), 14)])
+def test_tags_that_the_edge_of_the_photo_cuts_are_measured_inside(tmp_path, position, target, least):
+    pose = Pose.looking_at(position, target)
+    edges = find_edges(photograph(tmp_path / "close.jpg", pose, lens=CLOSE), SHEET)
+    assert len(edges.corners) >= least and not edges.trimmed
+    points = np.column_stack((edges.plane, np.zeros(len(edges.plane))))
+    off = ((edges.pixels - project(CLOSE, pose, points)) * edges.across).sum(axis=1)
+    # Seen: RMS 0.03, corners beyond the edge 0.5.
+    assert np.sqrt(np.square(off).mean()) < 0.06 and abs(off.mean()) < 0.01
+    for number, four in edges.corners.items():
+        assert np.abs(four - project(CLOSE, pose, SHEET.corners[number])).max() < 1.0
+
+
+@pytest.mark.parametrize("around", [0, 20])
+def test_a_sheet_cut_at_its_tags_on_a_dark_material(tmp_path, around):
+    picture, hole = SHEET.picture(80)
+    rim = round(2 * SHEET.cell * 80)
+    for dark in (np.s_[:rim], np.s_[-rim:], np.s_[:, :rim], np.s_[:, -rim:], hole):
+        picture[dark] = around
+    pose = POSES[1]
+    edges = find_edges(photograph(tmp_path / "cut.jpg", pose, picture=picture), SHEET)
+    assert len(edges.corners) == 16 and edges.trimmed
+    for number, four in edges.corners.items():
+        assert np.abs(four - project(LENS, pose, SHEET.corners[number])).max() < 0.3
+
+
+def test_a_mirrored_photo_and_a_print_in_negative_are_named(tmp_path):
+    photo = photograph(tmp_path / "mirrored.png", POSES[1])
+    cv2.imwrite(str(photo.path), cv2.flip(cv2.imread(str(photo.path), cv2.IMREAD_UNCHANGED), 1))
+    negative = photograph(tmp_path / "negative.jpg", POSES[0],
+                          picture=on_grey(255 - SHEET.picture(80)[0], SHEET.picture(80)[1]))
+    for shown, word in ((photo, "mirrored: 16 of 16"), (negative, "negative: 16 of 16")):
+        edges = find_edges(shown, SHEET)
+        assert not edges.corners and word in edges.fault
+
+
+def test_real_photos_rectified_to_the_frame_of_tags(data_folder):
+    """All 16 tags touch the pictures' edge. That the photos show no places of the camera is said."""
+    folder = data_folder / "sheets" / "bath_tile"
+    if not folder.is_dir():
+        pytest.skip(f"needs the photos of a sheet: none at {folder}")
+    photos = [Photo.open(path) for path in sorted(folder.glob("*.jpg"))]
+    assert len(photos) == 9
+    for photo in photos:
+        assert len(find_edges(photo, SHEET).corners) == 16
+    with pytest.raises(OnePlace, match="rectified already"):
+        rig_from_sheet(photos[:3], 17.0)

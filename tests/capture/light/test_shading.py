@@ -217,3 +217,20 @@ def test_no_paper_is_refused():
     photos = {name: np.full((144, 192, 3), 128, np.uint8) for name in rig.poses}
     with pytest.raises(CaptureError, match="white paper"):
         shading_of_paper(rig, photos, "srgb", lambda points: np.zeros(len(points), bool))
+
+
+def test_a_white_balance_that_drifts_is_the_light_s_colour_in_these_photos():
+    """Factors of linear rgb, known, in three of nine photos of paper; the others keep theirs to the bit."""
+    rng = np.random.default_rng(5)
+    rig = make_rig("cm", rng)
+    photos = paper_photos(rig, np.full(3, 600.0), np.zeros(9), rng)
+    plain, drift = shading_of_paper(rig, photos, "gamma2.2", border), np.array([1.25, 1.0, 0.8])
+    assert plain.tint == {} and not any("white balance" in note for note in plain.notes)
+    for name in ("2.jpg", "5.jpg", "7.jpg"):
+        photos[name] = np.rint(photos[name] * drift ** (1 / 2.2)).clip(0, 255).astype(np.uint8)
+    found = shading_of_paper(rig, photos, "gamma2.2", border)
+    assert set(found.tint) == {"2.jpg", "5.jpg", "7.jpg"}
+    for factors in found.tint.values():
+        np.testing.assert_allclose(factors / factors[1], drift, rtol=0.01)
+    assert any("white balance differs in 2.jpg" in note for note in found.notes)
+    np.testing.assert_allclose(found.intensity, plain.intensity, rtol=0.01)
