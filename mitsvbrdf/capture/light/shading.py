@@ -62,12 +62,12 @@ def shading_of_paper(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color
     seen = {name: paper_samples(photos[name], rig.lens, pose, white, depth, transfer)
             for name, pose in rig.poses.items() if name in photos}
     found = solve_light(rig, Samples.of(rig, seen, "white paper", glossy=False))
-    notes, tint = (f"paper is taken to be white with an albedo of {albedo:g}",), tint_of(found.samples)
+    notes, tint = [f"paper is taken to be white with an albedo of {albedo:g}"], tint_of(found.samples)
     intensity = np.exp(found.level + found.colour) * math.pi / albedo
     if tint:
-        notes += (_said(tint, "the paper", "taken out"),)
+        notes.append(_said(tint, "the paper", "taken out"))
         intensity = np.exp(found.level + _colours(found.samples, without=tint)[1]) * math.pi / albedo
-    return replace(found.shading(intensity, found.level_sd, notes), tint=tint)
+    return replace(found.shading(intensity, found.level_sd, tuple(notes)), tint=tint)
 
 
 def tint_of(samples: Samples) -> dict[str, Array]:
@@ -133,9 +133,9 @@ def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: co
              + by_lobe * math.log(math.pi * found.lobe / LOBE_F0[0]))
     intensity = max(math.exp(power / (by_albedo + by_lobe)), most / MOST_ALBEDO)
     tint = tint_of(found.samples)
-    notes = ("how bright the flash is cannot be told from these photos; it is taken to be such that "
+    notes = ["how bright the flash is cannot be told from these photos; it is taken to be such that "
              f"highlights reflect {math.pi * found.lobe / intensity:.1%} of it and the median albedo is "
-             f"{middle / intensity:.2f}",)
+             f"{middle / intensity:.2f}"]
     if tint:
-        notes += (_said(tint, "the material", "not taken out; a sheet of white paper would tell it surely"),)
-    return found.shading(np.full(3, intensity), 1 / math.sqrt(by_albedo + by_lobe), notes)
+        notes.append(_said(tint, "the material", "not taken out; white paper would tell it surely"))
+    return found.shading(np.full(3, intensity), 1 / math.sqrt(by_albedo + by_lobe), tuple(notes))
