@@ -69,8 +69,8 @@ def export(
         raise ConfigError(f"a side of {SMALLEST:g} to {LARGEST:g} cm", f"--side-cm {side_cm:g}",
                           "give it in centimetres")
     builtin = maps.startswith("builtin:")
-    if builtin and out is None:
-        raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
+    if out is None and (builtin or Path(maps).is_file()):
+        raise ConfigError(f"an output folder beside {maps}, which is no folder", "none", "add -o FOLDER")
     out = out or folder_inside(Path(maps), "export")
     svbrdf, fit = material_of(maps, 256, encoding), fit_of_maps(maps)
     side = side_cm / 100 if side_cm is not None else fit.side_metres

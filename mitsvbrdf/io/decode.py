@@ -125,11 +125,6 @@ def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Pict
     return Picture(pixels, opaque, outside)
 
 
-def decoded(path: Path, error: type[MitsvbrdfError], data: bool = False) -> np.ndarray:
-    """The pixels of :func:`picture`; alpha is dropped."""
-    return picture(path, error, data).pixels
-
-
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
     """Pixels (H x W x C or H x W) turned as EXIF's orientation says they are shown."""
     if orientation in (5, 6, 7, 8):

@@ -221,3 +221,9 @@ def test_without_libllvm_the_analytic_renderer_still_works(shots, tmp_path):
     assert refused.returncode == 2 and "libLLVM" in refused.stderr and "Traceback" not in refused.stderr
     assert not (tmp_path / "a").exists() and not (tmp_path / "a.partial").exists()
     assert run("fit", shots, "-o", tmp_path / "b", *FAST).returncode == 0
+
+
+def test_an_export_of_a_file_needs_a_folder(tmp_path, capsys):
+    (tmp_path / "wood.glb").write_bytes(b"glTF")
+    assert cli.main(["export", str(tmp_path / "wood.glb")]) == 2
+    assert "add -o FOLDER" in capsys.readouterr().err

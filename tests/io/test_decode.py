@@ -16,9 +16,13 @@ import pytest
 from PIL import Image, ImageOps
 
 from mitsvbrdf.errors import CaptureError, InputWarning, MitsvbrdfError, strict
-from mitsvbrdf.io.decode import decoded, header, upright
+from mitsvbrdf.io.decode import header, picture, upright
 
 PIXELS = (np.random.default_rng(0).random((64, 48, 3)) * 255).astype(np.uint8)
+
+
+def decoded(path, error):
+    return picture(path, error).pixels
 
 
 def encoded(kind, pixels=PIXELS, **options):
