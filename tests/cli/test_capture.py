@@ -8,7 +8,7 @@ from mitsvbrdf.cli.capture import _print
 def result(resolution, photos=("IMG_1.jpg", "blurred[red].jpg", "IMG_2.jpg"), rejected="blurred[red].jpg"):
     """Three photos, the second of them rejected, rectified to so many pixels."""
     used = [name for name in photos if name != rejected]
-    rig = SimpleNamespace(rejected={rejected: "blurred: 0.2"}, errors=dict.fromkeys(used, 0.25))
+    rig = SimpleNamespace(rejected={rejected: "blurred: 0.2"}, errors=dict.fromkeys(used, 0.25), tags={})
     return SimpleNamespace(used=used, photos=[SimpleNamespace(name=name) for name in photos], rig=rig,
                            qualities={}, warnings=("the photos are small",), covered=0.5, next_view=None,
                            capture=SimpleNamespace(resolution=resolution))
