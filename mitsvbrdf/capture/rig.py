@@ -90,4 +90,4 @@ def one_place(count: int) -> OnePlace:
     return OnePlace("photos from different places",
                     f"{count} photos that show everything in the same place: from a tripod, or rectified "
                     "already",
-                    "move the phone between photos; `mitsvbrdf fit` takes rectified photos of the patch alone")
+                    "move the phone between photos; `mitsvbrdf fit` takes rectified ones of the patch alone")
