@@ -78,8 +78,9 @@ def file_lock(path: Path, seconds: float = -1) -> Iterator[None]:
         OSError: no lock can be made there.
     """
     place = _lock_file(path)
-    if os.path.lexists(place) and not is_regular(place):
-        raise OSError(errno.EEXIST, "there is no file, but a link, a pipe or a folder", str(place))
+    with contextlib.suppress(FileNotFoundError):  # another run may take its lock away meanwhile
+        if not stat.S_ISREG(place.lstat().st_mode):
+            raise OSError(errno.EEXIST, "there is no file, but a link, a pipe or a folder", str(place))
     lock = FileLock(place, timeout=seconds, poll_interval=0.02)
     try:
         lock.acquire()
