@@ -85,12 +85,20 @@ def to_srgb(pixels: np.ndarray, profile: Profile) -> tuple[np.ndarray, float]:
         H x W x 3 of 16 bits, and the share of pixels whose colours lie outside of sRGB and were moved to its
         edge.
     """
-    source = np.ascontiguousarray(pixels[..., 0] if profile.grey else pixels)
+    if profile.grey:
+        return _transformed(np.ascontiguousarray(pixels[..., 0]), profile, np.uint16), 0.0
+    source = np.ascontiguousarray(pixels)
     every = max(1, pixels[..., 0].size // SAMPLE)
-    some = source.reshape(-1, *source.shape[2:])[::every][None]
-    exact = _transformed(some, profile, np.float32)
-    outside = ((exact < -NEAR) | (exact > 1 + NEAR)).any(axis=-1).mean()
-    return _transformed(source, profile, np.uint16), float(outside)
+    return _transformed(source, profile, np.uint16), _outside(source.reshape(-1, 3)[::every], profile)
+
+
+def _outside(pixels: np.ndarray, profile: Profile) -> float:
+    """Share of pixels (N x 3) outside of sRGB, even where each number is half a step nearer to grey."""
+    most = np.iinfo(pixels.dtype).max
+    stored = pixels / np.float32(most)
+    nearer = stored + (stored.mean(axis=1, keepdims=True) - stored).clip(-0.5 / most, 0.5 / most)
+    exact = _transformed(nearer[None], profile, np.float32)
+    return float(((exact < -NEAR) | (exact > 1 + NEAR)).any(axis=-1).mean())
 
 
 def to_rec709(pixels: np.ndarray, chromaticities: Sequence[float]) -> np.ndarray:

@@ -25,7 +25,7 @@ from mitsvbrdf.errors import CaptureError, InputWarning, MapsError
 from mitsvbrdf.io.decode import header, picture
 from mitsvbrdf.io.images import read_image
 
-INSIDE = np.stack(np.meshgrid(*[np.linspace(0.1, 0.9, 9)] * 3), axis=-1).reshape(27, 27, 3)
+INSIDE = np.stack(np.meshgrid(*[np.linspace(0.02, 0.98, 9)] * 3), axis=-1).reshape(27, 27, 3)
 
 
 def read_in(path, space, bits=8, display=INSIDE):
@@ -53,7 +53,7 @@ def test_lossy_pictures_too(tmp_path, space, name):
     error = read_in(tmp_path / name, space).pixels[4::8, 4::8] / 65535 - INSIDE
     assert np.abs(np.median(error)) < 1 / 255 and np.median(np.abs(error)) < 2 / 255
     wrong = np.median(np.abs(encoded_in(INSIDE, space) - INSIDE))  # what is read of it without its profile
-    assert wrong > 3 / 255
+    assert wrong > 4 / 255
 
 
 def test_colours_outside_are_counted(tmp_path):
