@@ -26,7 +26,7 @@ from ..io.json import load, read_json
 from ..views import Falloff, Views, default_views
 from .capture import LEAST_SIDE, Calibration, Capture
 from .colours import Converted, converted, notes_of
-from .photo import PLAIN, files_of
+from .photo import HEIC, PLAIN, files_of
 from .rectify import filled
 
 NUMBER = Annotated[float, Meta(ge=-1e300, le=1e300)]  # no NaN either
@@ -195,7 +195,7 @@ def _common_side(paths: list[Path], sizes: list[tuple[int, int]], source: Path) 
 def _numbered(folder: Path) -> dict[int, Path]:
     """The photos NN.png or NN.jpg of a folder by their number, in order."""
     paths: dict[int, Path] = {}
-    for path in files_of(folder, PLAIN):
+    for path in files_of(folder, PLAIN + HEIC):
         if not path.stem.isdecimal():
             continue
         if int(path.stem) in paths:

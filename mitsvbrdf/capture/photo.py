@@ -165,14 +165,15 @@ def photos_in(folder: str | Path) -> list[Path]:
     """
     found = files_of(folder := Path(folder), SUFFIXES)
     check_names(*found)
-    if not found:
-        raise CaptureError("photos (jpg, png, heic, dng, ...)", f"none in {folder}",
-                           "give the folder that holds them")
     others = [p.name for p in files_of(folder, None) if p.suffix.lower() not in SUFFIXES + BESIDE]
+    listed = ", ".join(others[:4]) + (f" and {len(others) - 4} more" if others[4:] else "")
+    way_out = "export what is a photo as JPEG, PNG, TIFF or HEIC"
+    if not found:
+        raise CaptureError("photos (jpg, png, heic, dng, ...)", f"{listed or 'none'} in {folder}",
+                           way_out if others else "give the folder that holds them")
     if others:
-        more = f" and {len(others) - 4} more" if others[4:] else ""
-        warnings.warn(f"{folder} holds files that are not read: {', '.join(others[:4])}{more}; export what "
-                      "is a photo as JPEG, PNG, TIFF or HEIC", InputWarning, stacklevel=3)
+        warnings.warn(f"{folder} holds files that are not read: {listed}; {way_out}", InputWarning,
+                      stacklevel=3)
     raw = [p for p in found if p.suffix.lower() in RAW]
     if raw and len(raw) < len(found):
         raise CaptureError("photos of one kind",

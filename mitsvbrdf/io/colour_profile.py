@@ -52,6 +52,9 @@ class Profile(NamedTuple):
     reason: str = ""
 
 
+UNCALIBRATED = Profile('the color space "uncalibrated" of EXIF', reason="no profile says which it is")
+
+
 def profile_of(image: Image, path: Path) -> Profile | None:
     """The profile that a picture states; None for sRGB's and for none.
 
@@ -69,9 +72,7 @@ def profile_of(image: Image, path: Path) -> Profile | None:
         return Profile(found.name, reason="of grey, beside colours") if found and wrong else found
     if image.format == "PNG" and "srgb" not in image.info:
         return _of_png(image)
-    if image.format == "JPEG" and _interoperability(image) == "R03":
-        return _made("Adobe RGB", ADOBE_RGB, 2.19921875)
-    return None
+    return None if image.format == "PNG" else _of_exif(image)  # that of a PNG would decode it
 
 
 def to_srgb(pixels: np.ndarray, profile: Profile) -> tuple[np.ndarray, float]:
@@ -178,7 +179,9 @@ def _of_icc(icc: bytes) -> Profile | None:
 
         opened = ImageCms.ImageCmsProfile(io.BytesIO(icc))
         name = ImageCms.getProfileDescription(opened).strip() or "a nameless ICC profile"
-        return _unless_srgb(Profile(name, icc, opened.profile.xcolor_space.strip() == "GRAY"))
+        if (space := opened.profile.xcolor_space.strip()) not in ("RGB", "GRAY"):
+            return Profile(name, reason=f"of {space}, beside RGB")
+        return _unless_srgb(Profile(name, icc, space == "GRAY"))
     except Exception as reason:  # littleCMS and its two wrappers raise all kinds
         return Profile(name, reason=str(reason))
 
@@ -214,9 +217,13 @@ def _cicp(path: Path) -> dict[str, int] | None:
     return None
 
 
-def _interoperability(image: Image) -> str:
-    """``R03`` of a camera set to Adobe RGB, which often writes no profile (DCF 2.0)."""
+def _of_exif(image: Image) -> Profile | None:
+    """Adobe RGB, often without a profile: interoperability R03 (DCF 2.0), or a color space of 2."""
     try:
-        return str(type(image).getexif(image).get_ifd(0xA005).get(1, ""))
+        exif = type(image).getexif(image)
+        space, rules = exif.get_ifd(0x8769).get(0xA001), str(exif.get_ifd(0xA005).get(1, ""))
     except Exception:  # an EXIF block that cannot be read
-        return ""
+        return None
+    if space == 2 or rules.startswith("R03"):
+        return _made("Adobe RGB", ADOBE_RGB, 2.19921875)
+    return UNCALIBRATED if space == 65535 and not rules else None

@@ -27,7 +27,9 @@ MAGIC = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG", b"II*\0": "TIFF",
 HEIF_BRANDS = b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"
 KINDS = "PNG", "JPEG", "TIFF", "WEBP", "HEIF"
 DNG_VERSION = b"\x12\xc6\1\0\4\0\0\0", b"\xc6\x12\0\1\0\0\0\4"  # tag 50706 of TIFF, four bytes
-EXTRA_SAMPLES = 338  # tag of TIFF
+BITS, PHOTOMETRIC, EXTRA_SAMPLES = 258, 262, 338  # tags of TIFF
+NEGATIVE = "negative"  # grey whose white is 0
+FOREIGN = "CMYK", "LAB", "HSV"  # Pillow's names of channels that are no RGB
 OPAQUE = 0.98  # of the most opaque pixel; a picture of one alpha has no mask
 # quarter turns against the clock, from how a photo is shown to how the sensor saw it
 UNTURNED = {3: 2, 6: 1, 8: -1}
@@ -39,7 +41,7 @@ class Header(NamedTuple):
     kind: str  # PNG, JPEG, TIFF, WEBP or HEIF
     size: tuple[int, int]  # width and height as stored
     orientation: int  # EXIF's, 1 to 8; 1: shown as stored
-    mode: str  # Pillow's name of the channels
+    mode: str  # Pillow's name of the channels, or NEGATIVE
     profile: Profile | None  # of its colours; None: those of sRGB
 
 
@@ -85,12 +87,19 @@ def header(path: Path, error: type[MitsvbrdfError]) -> Header:
                 turned = image.info.get("original_orientation") or 1
                 size = size[::-1] if turned in (6, 8) else size
             elif kind == "TIFF":
-                size = image.tag_v2[256], image.tag_v2[257]  # type: ignore[attr-defined]
+                tags = image.tag_v2  # type: ignore[attr-defined]
+                size = tags[256], tags[257]
             check_size(path, size, error)
-            masked = image.has_transparency_data and (
-                kind != "TIFF" or image.tag_v2.get(EXTRA_SAMPLES, (0,))[0])  # type: ignore[attr-defined]
-            return Header(kind, size, turned if turned in range(1, 9) else 1,
-                          "RGBA" if masked else image.mode, profile_of(image, path))
+            if image.mode in FOREIGN:
+                raise error("a picture in RGB or grey", f"{path} in {image.mode}",
+                            "convert it to sRGB where its profile is known, and save it as RGB")
+            masked, mode = image.has_transparency_data, image.mode
+            if kind == "TIFF":
+                masked = masked and tags.get(EXTRA_SAMPLES, (0,))[0]
+                mode = ("P" if tags.get(BITS, (1,))[0] < 8 else
+                        NEGATIVE if tags.get(PHOTOMETRIC) == 0 else mode)
+            return Header(kind, size, turned if turned in range(1, 9) else 1, "RGBA" if masked else mode,
+                          profile_of(image, path))
 
 
 def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Picture:
@@ -111,8 +120,9 @@ def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Pict
             pixels = _jpeg(path, content)
         elif about.kind == "PNG":
             pixels = _png(path, content, about.mode == "RGBA")
-        elif about.kind == "TIFF":
+        elif about.kind == "TIFF" and about.mode != "P":  # of a palette, libtiff gives the numbers
             pixels = _tiff(content, about.mode == "RGBA")
+            pixels = ~pixels if about.mode == NEGATIVE else pixels
         else:
             pixels = _by_pillow(path, about)
     opaque, outside = None, 0.0
@@ -214,17 +224,29 @@ def _tiff(content: bytes, masked: bool) -> np.ndarray:
         raise ValueError(str(reason)) from None
     if pixels.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"an image of 8 or 16 bits is needed, not of {pixels.dtype}")
-    pixels = np.atleast_3d(pixels)
-    if pixels.shape[0] in (3, 4) and pixels.shape[2] > 4:  # a plane each
+    if pixels.ndim == 3 and pixels.shape[0] in (3, 4) and pixels.shape[2] > 4:  # a plane each
         pixels = np.moveaxis(pixels, 0, -1)
+    return _coloured(pixels, masked)
+
+
+def _coloured(pixels: np.ndarray, masked: bool) -> np.ndarray:
+    """H x W x 3, or 4 with alpha, of as many channels or of grey."""
+    pixels = np.atleast_3d(pixels)
     if pixels.shape[2] < 3:  # grey, with its alpha
         pixels = np.concatenate((*[pixels[..., :1]] * 3, pixels[..., 1:]), axis=2)
     return np.ascontiguousarray(pixels[..., :3 + masked])
 
 
 def _by_pillow(path: Path, about: Header) -> np.ndarray:
+    masked = about.mode == "RGBA"
     with opened(path, about.kind) as image:
-        pixels = np.asarray(image.convert("RGBA" if about.mode == "RGBA" else "RGB"))
+        if (bits := image.info.get("bit_depth", 8)) == 8:
+            pixels = np.asarray(image.convert("RGBA" if masked else "RGB"))
+    if bits > 8:  # of HEIC; Pillow has no colours of more than 8
+        import pillow_heif
+
+        stored = pillow_heif.open_heif(path, convert_hdr_to_8bit=False, hdr_to_16bit=False)
+        pixels = (_coloured(np.asarray(stored), masked) * (65535 / (2**bits - 1))).round().astype(np.uint16)
     return np.rot90(pixels, UNTURNED.get(about.orientation, 0)) if about.kind == "HEIF" else pixels
 
 

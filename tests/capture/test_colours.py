@@ -38,6 +38,17 @@ def test_a_plain_photo_in_other_colours(tmp_path):
     assert "sRGB" in read_capture(tmp_path).notes[0]
 
 
+def test_numbered_photos_of_heic(tmp_path):
+    pytest.importorskip("pillow_heif", reason='needs pip install "mitsvbrdf[heic]"')
+    json_capture(tmp_path, np.zeros((3, 16, 16, 3), np.uint8))
+    shown = np.full((64, 64, 3), (0.8, 0.5, 0.2))
+    for path in tmp_path.rglob("0*.png"):
+        save_in(path.with_suffix(".heic"), shown, "Display P3")
+        path.unlink()
+    capture = read_capture(tmp_path)
+    assert len(capture) == 3 and capture.photos.numpy() == pytest.approx(np.stack([shown] * 3), abs=2 / 255)
+
+
 def test_a_profile_that_cannot_be_used_is_told_once(tmp_path):
     from PIL import Image
 

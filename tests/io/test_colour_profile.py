@@ -90,6 +90,48 @@ def test_code_points_and_gamma_of_a_png(tmp_path):
     assert header(usual, CaptureError).profile is None
 
 
+# what ImageMagick 6.9 makes of a colour: convert -profile SPACE -intent relative -profile sRGB
+BY_IMAGEMAGICK = {"Display P3": ((184, 56, 42), (200.1, 39.8, 29.9)),
+                  "Rec. 2020": ((150, 110, 80), (171.3, 103.8, 74.0)),
+                  "Adobe RGB": ((184, 56, 42), (213.4, 53.0, 36.7))}
+
+
+@pytest.mark.parametrize(("space", "primaries"), [("Display P3", 12), ("Rec. 2020", 9)])
+@pytest.mark.parametrize("bits", [8, 10])
+def test_code_points_of_heic(tmp_path, space, primaries, bits):
+    heif = pytest.importorskip("pillow_heif", reason='needs pip install "mitsvbrdf[heic]"')
+    stored, shown = BY_IMAGEMAGICK[space]
+    pixels = np.full((64, 64, 3), stored, np.uint8)
+    made = (heif.from_pillow(Image.fromarray(pixels)) if bits == 8 else
+            heif.from_bytes("RGB;16", (64, 64), (pixels * np.uint16(257)).tobytes()))
+    made.save(tmp_path / "a.heic", quality=-1, chroma=444, save_nclx_profile=True, full_range_flag=1,
+              color_primaries=primaries, transfer_characteristics=13, matrix_coefficients=6)
+    found = picture(tmp_path / "a.heic", CaptureError).pixels
+    assert found.dtype == np.uint16
+    assert np.abs(np.median(found, axis=(0, 1)) / 257 - shown).max() < (2 if bits == 8 else 0.6)
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a.webp"])
+def test_exif_alone(tmp_path, name):
+    stored, shown = BY_IMAGEMAGICK["Adobe RGB"]
+
+    def read(space=None, rules=None):
+        exif = Image.Exif()
+        exif[0x8769] = {0xA001: space} if space else {}
+        if rules:  # of Exif's own block, which Pillow writes with its numbers alone
+            exif[0x8769][0xA005] = {1: rules}
+        how = {"a.jpg": {"quality": 98, "subsampling": 0}, "a.webp": {"lossless": True}}.get(name, {})
+        Image.new("RGB", (16, 16), stored).save(tmp_path / name, exif=exif, **how)
+        return picture(tmp_path / name, CaptureError).pixels[8, 8], header(tmp_path / name, CaptureError)
+
+    for found, _ in (read(rules="R03"), read(65535, "R03"), read(2)):
+        assert np.abs(found / 257 - shown).max() < 1.5
+    for found, about in (read(1), read(rules="R98"), read(65535, "R98")):
+        assert about.profile is None and np.abs(found.astype(int) - stored).max() <= 1
+    found, about = read(65535)
+    assert "uncalibrated" in about.profile.name and about.profile.reason
+
+
 def test_grey_profiles(tmp_path):
     icc = imagecodecs.cms_profile("gray", whitepoint=(0.3127, 0.3290), gamma=1.0)
     Image.new("L", (4, 4), 128).save(tmp_path / "a.png", icc_profile=icc)

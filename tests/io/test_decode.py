@@ -175,3 +175,45 @@ def test_the_limit_of_pillow_stays_as_it_was(tmp_path, monkeypatch):
     with pytest.raises(CaptureError):
         read(tmp_path, b"")
     assert Image.MAX_IMAGE_PIXELS == 12345
+
+
+# written by Pillow; ImageMagick 6.9 reads the same values
+@pytest.mark.parametrize("mode, tags, value, options", [
+    ("P", {}, (204, 51, 51), {}), ("1", {}, (255,) * 3, {}), ("1", {}, (255,) * 3, {"compression": "group4"}),
+    ("L", {262: 0}, (60,) * 3, {}), ("LA", {}, (60,) * 3, {})])
+def test_tiffs_that_store_no_plain_numbers(tmp_path, mode, tags, value, options):
+    colour = value if mode == "P" else value[0]
+    image = Image.new("RGB" if mode == "P" else "L", (16, 16), colour).convert(mode)
+    image.save(tmp_path / "a.tif", tiffinfo=tags, **options)
+    assert (decoded(tmp_path / "a.tif", CaptureError) == value).all()
+
+
+def test_a_grey_tiff_of_four_bits(tmp_path):
+    entries = [(256, 4, 1, 4), (257, 4, 1, 2), (258, 3, 1, 4), (259, 3, 1, 1), (262, 3, 1, 1),
+               (273, 4, 1, 200), (277, 3, 1, 1), (278, 4, 1, 2), (279, 4, 1, 4)]
+    table = b"".join(struct.pack("<HHII", *entry) for entry in entries)
+    head = b"II*\0" + struct.pack("<IH", 8, len(entries)) + table + bytes(4)
+    pixels = read(tmp_path, head.ljust(200, b"\0") + bytes((0x09, 0x9F, 0xF9, 0x90)))
+    assert pixels[..., 0].tolist() == [[0, 153, 153, 255], [255, 153, 153, 0]]  # sixteenths: 255 / 15 each
+
+
+@pytest.mark.parametrize("name", ["a.jpg", "a.tif"])
+@pytest.mark.parametrize("profile", [None, b"of some printer"])
+def test_inks_are_refused_by_name(tmp_path, name, profile):
+    Image.new("CMYK", (16, 16), (30, 180, 200, 40)).save(tmp_path / name, icc_profile=profile)
+    with pytest.raises(CaptureError, match=f"a picture in RGB or grey, got .*/{name} in CMYK; convert"):
+        decoded(tmp_path / name, CaptureError)
+
+
+@pytest.mark.parametrize("mode, bits", [("RGB;16", 10), ("RGB;16", 12), ("L;16", 10), ("RGBA;16", 10)])
+def test_heic_keeps_the_bits_it_has(tmp_path, mode, bits, monkeypatch):
+    heif = pytest.importorskip("pillow_heif", reason='needs pip install "mitsvbrdf[heic]"')
+    monkeypatch.setattr(heif.options, "SAVE_HDR_TO_12_BIT", bits == 12)
+    ramp = np.linspace(0, 65535, 1024).astype(np.uint16)[None, :, None].repeat(64, axis=0)
+    pixels = ramp.repeat({"L": 1, "RGB": 3, "RGBA": 4}[mode[:-3]], axis=2)
+    if mode == "RGBA;16":
+        pixels[..., 3] = 65535
+    heif.from_bytes(mode, (1024, 64), pixels.tobytes()).save(tmp_path / "a.heic", quality=-1, chroma=444)
+    found = decoded(tmp_path / "a.heic", CaptureError)
+    assert found.dtype == np.uint16 and found.shape == (64, 1024, 3) and len(np.unique(found[..., 1])) > 1000
+    assert np.abs(found.astype(int) - ramp).max() <= 2 * 65535 / (2**bits - 1) and found.max() == 65535
