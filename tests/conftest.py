@@ -17,6 +17,11 @@ from pathlib import Path
 
 import pytest
 
+from mitsvbrdf.batch.tasks import ALONE
+
+# Ray reads them where it is imported first, which may be in a test of something else
+os.environ.update(ALONE, RAY_AUTH_TOKEN=os.urandom(32).hex())
+
 # nothing that a test writes has to outlive a power cut, and waiting for the disk is slow
 os.fsync = lambda descriptor: None
 pytest.register_assert_rewrite("helpers")

@@ -205,7 +205,7 @@ def test_capture_page_commands(tmp_path, monkeypatch):
         arguments = shlex.split(re.sub(r" --spoil .*", "", line))
         assert cli.main([*arguments, *short.get(arguments[0], [])]) == 0, line
     written = re.findall(r"^    photos/(\S+) ", (ROOT / "docs/capture.md").read_text(), re.M)
-    assert len(written) == 4 and all((tmp_path / "photos" / name).is_file() for name in written)
+    assert len(written) == 3 and all((tmp_path / "photos" / name).is_file() for name in written)
 
 
 def test_links_lead_somewhere():

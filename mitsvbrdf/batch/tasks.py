@@ -7,6 +7,7 @@ import logging
 import os
 import secrets
 import socket
+import sys
 import tempfile
 import threading
 import time
@@ -139,6 +140,9 @@ class RayTasks:
     def _start(self, folder: Path) -> None:
         """Start a Ray of its own, or join a cluster."""
         address, here = self.settings.address, self.settings.address is None
+        if here and "ray" in sys.modules and not ALONE.items() <= os.environ.items():
+            raise BackendError("Ray to be imported by the batch", "a program that imported it before",
+                               "run the command `mitsvbrdf batch`")
         try:
             if here:
                 self._start_own(folder)

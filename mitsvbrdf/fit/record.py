@@ -12,6 +12,7 @@ from ..material.maps import CHANNELS
 FILE = "fit.json"
 SCHEMA_VERSION = 1
 FORMER = {"left_out": "omitted", "finish": "detail"}  # names of fields in fit.json of earlier versions
+LATER: dict[str, Any] = {"used": [], "calibrated_rmse": None}  # fields that earlier versions did not write
 NONE = type(None)
 # What a page needs of fit.json, as types; see :func:`~mitsvbrdf.io.json.shape_error`.
 _SHAPE = {"method": str, "renderer": str, "bsdf": str, "rerender_rmse": NUMBER, "per_photo": {str: NUMBER},
@@ -70,7 +71,7 @@ def record_in(folder: Path) -> dict:
     for former, name in FORMER.items() if isinstance(record, dict) else ():
         if former in record and name not in record:
             record[name] = record.pop(former)
-    return record
+    return LATER | record if isinstance(record, dict) else record
 
 
 def checked(record: dict) -> dict:
@@ -94,8 +95,7 @@ def missing(record: dict) -> str:
     """What a record lacks for a page; empty text where it is whole."""
     if record.get("schema_version") != SCHEMA_VERSION:
         return f"schema_version {record.get('schema_version')!r}"
-    # older records lack these
-    if wrong := shape_error({"used": [], "calibrated_rmse": None, **record}, _SHAPE):
+    if wrong := shape_error(record, _SHAPE):
         return wrong
     if calibration := record.get("calibration"):
         # a deviation that was not estimated is None

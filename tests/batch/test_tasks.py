@@ -17,7 +17,9 @@ pytest.importorskip("ray")
 from batch import chaos
 
 from mitsvbrdf.batch.results import ResultStore
-from mitsvbrdf.batch.tasks import PREFIX
+from mitsvbrdf.batch.settings import BatchSettings
+from mitsvbrdf.batch.tasks import PREFIX, RayTasks
+from mitsvbrdf.errors import BackendError
 
 pytestmark = pytest.mark.slow
 SIDE = 16
@@ -133,3 +135,11 @@ def test_an_address_without_a_cluster_is_an_error(shots):
     said = batch.communicate()[0]
     assert batch.returncode == 2 and "ray start --head" in said, said
     assert not ResultStore("library").names()
+
+
+def test_ray_that_was_imported_before_is_one_clear_error(monkeypatch, tmp_path):
+    """It has read no token then, and would wait for half a minute."""
+    monkeypatch.setitem(sys.modules, "ray", sys)
+    monkeypatch.delenv("RAY_AUTH_MODE")
+    with pytest.raises(BackendError, match="imported it before"):
+        RayTasks(BatchSettings())._start(tmp_path)
