@@ -72,15 +72,14 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
     if not isinstance(stated["target_dir"], str):
         raise CaptureError("target_dir as text", f"{stated['target_dir']!r} in {path}",
                            "name the photos' folder")
-    transfer = stated.get("transfer", "gamma2.2")
-    if transfer not in get_args(color.Transfer):
-        raise CaptureError(f"a transfer of {get_args(color.Transfer)}", f"{transfer!r} in {path}",
-                           "choose one of these")
-
     photos = _numbered(path.parent / stated["target_dir"])
     index = stated.get("idx")
     if uncalibrated:
         stated = stated | _assumed(stated, path, max(photos) + 1)
+    stated = {"transfer": "gamma2.2", "calibration": "given"} | stated  # other tools do not state these
+    for key, known in (("transfer", get_args(color.Transfer)), ("calibration", get_args(Calibration))):
+        if stated[key] not in known:
+            raise CaptureError(f"a {key} of {known}", f"{stated[key]!r} in {path}", "choose one of these")
     size = _stated(stated["im_size"], NUMBER, f"im_size in {path}")
     camera = _stated(stated["camera_pos"], ROWS, f"camera_pos in {path}")
     light = _stated(stated["light_pos"], ROWS, f"light_pos in {path}") if "light_pos" in stated else camera
@@ -100,18 +99,9 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
                            f"{max(index)})",
                            f"{len(camera)} rows in {path}", "give one row a photo, or shorten idx")
     views = _views(camera, light, stated["light_pow"], size, falloff, str(path)).pick(index)
-    return _calibrated([photos[i] for i in index], views, transfer, index, path.parent,
-                       resolution, _calibration(stated, path),
+    return _calibrated([photos[i] for i in index], views, stated["transfer"], index, path.parent,
+                       resolution, stated["calibration"],
                        _stated(stated.get("colours", {}), COLOURS, f"colours in {path}"))
-
-
-def _calibration(stated: dict, path: Path) -> Calibration:
-    """Where the views come from; other tools do not state it."""
-    found = stated.get("calibration", "given")
-    if found not in get_args(Calibration):
-        raise CaptureError(f"a calibration of {get_args(Calibration)}", f"{found!r} in {path}",
-                           "choose one of these")
-    return found
 
 
 def _assumed(stated: dict, path: Path, rows: int) -> dict:

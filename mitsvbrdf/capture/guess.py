@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
-from collections.abc import Iterator
 from typing import Literal, get_args
 
 import torch
@@ -17,7 +15,7 @@ from ..errors import ConfigError
 from ..io.entry import entry
 from ..io.layout import Layout
 from ..material.resample import resized
-from ..views import Views, geometry
+from ..views import geometry
 from .capture import Capture
 
 GuessMethod = Literal["robust", "min", "mean-blur"]
@@ -67,13 +65,9 @@ def guess_diffuse(capture: Capture, method: GuessMethod = "robust") -> Tensor:
     if method == "robust":
         return _robust(capture)
     radiance = capture.linear.min(dim=0).values if method == "min" else _blurred(capture.linear.mean(dim=0))
-    return over(math.pi * radiance, _centre_irradiance(capture.views)).clamp(0, 1)
-
-
-def _centre_irradiance(views: Views) -> Tensor:
-    """Mean irradiance at the patch centre (rgb): I cos / d^2."""
-    light = views.light
-    return (views.intensity * light[:, 2:] / light.norm(dim=1, keepdim=True) ** 3).mean(dim=0).float()
+    light, intensity = capture.views.light, capture.views.intensity
+    centre = (intensity * light[:, 2:] / light.norm(dim=1, keepdim=True) ** 3).mean(dim=0).float()
+    return over(math.pi * radiance, centre).clamp(0, 1)
 
 
 def over(value: Tensor, irradiance: Tensor) -> Tensor:
@@ -100,26 +94,19 @@ def _robust(capture: Capture) -> Tensor:
     size = min(capture.resolution, FIT_SIZE)
     texels = [resized(x, size) for x in (albedo.mean(-1, True), most.mean(-1, True), light, half)]
     texels = [x.flatten(1, 2).transpose(0, 1).squeeze(-1).contiguous() for x in texels]  # M x N (x 3)
-    with _one_thread():
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)  # more save at most a third on such small chunks, or cost 50 times the time
+    try:
         prior = _typical(*(x[:: -(-len(x) // CHUNK)] for x in texels))
         fitted = [_shade(_fit(prior, *part), *part[2:]) for part in zip(*(x.split(CHUNK) for x in texels))]
+    finally:
+        torch.set_num_threads(threads)
     shading, lobe = (resized(torch.cat(x).T.reshape(-1, size, size, 1), capture.resolution)
                      for x in zip(*fitted))
 
     seen = (capture.photos < NEARLY_CLIPPED) | (capture.photos == capture.photos.amin(dim=0))
     diffuse = torch.where(seen, (albedo - lobe) / shading, torch.nan)
     return diffuse.nanmedian(dim=0).values.clamp(0, 1)
-
-
-@contextlib.contextmanager
-def _one_thread() -> Iterator[None]:
-    """Torch on one thread: more save at most a third on such small chunks, or cost 50 times the time."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def _shade(texels: Tensor, light: Tensor, half: Tensor) -> tuple[Tensor, Tensor]:

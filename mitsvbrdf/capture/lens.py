@@ -119,6 +119,10 @@ class Pose:
         """Where the flash was in the world, 3."""
         return self.position + self.rotation.T @ np.asarray(lens.flash)
 
+    def upside_down(self) -> Pose:
+        """The pose of the photo turned by half."""
+        return Pose(self.position, np.diag((-1.0, -1.0, 1.0)) @ self.rotation)
+
 
 def project(lens: Lens, pose: Pose, points: Array) -> Array:
     """Pixels (K x 2) of points of the world (K x 3); points behind the camera give NaN."""

@@ -39,7 +39,9 @@ class Rectified:
            report: Callable[[str, float], object]) -> Rectified:
         """The photos of ``rig``, in ``resolution`` pixels a side, or in as many as they show."""
         photos = [photo for photo in photos if photo.name in rig.poses]
-        shown = int(np.median([_resolved(rig.lens, pose, rig.size) for pose in rig.poses.values()]))
+        at = np.stack([project(rig.lens, pose, CORNERS * rig.size) for pose in rig.poses.values()])
+        sides = np.nan_to_num(np.linalg.norm(np.roll(at, -1, axis=1) - at, axis=2))
+        shown = int(np.median(sides.min(axis=1)))  # pixels along the patch's shortest side
         side = max(LEAST_SIDE, min(resolution, shown))
         pictures, small, outside = {}, {}, {}
         for n, photo in enumerate(photos):
@@ -50,12 +52,6 @@ class Rectified:
             small[photo.name], outside[photo.name] = reduced(found.pixels, LONG_SIDE), found.outside
         few = (f"the photos show the patch in {shown} pixels a side, so it is not enlarged to {resolution}",)
         return cls(pictures, small, outside, few if side < resolution else ())
-
-
-def _resolved(lens: Lens, pose: Pose, size: float) -> float:
-    """Pixels of a photo along a side of the patch, the shortest."""
-    at = project(lens, pose, CORNERS * size)
-    return float(np.nan_to_num(np.linalg.norm(np.roll(at, -1, axis=0) - at, axis=1)).min())
 
 
 def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolution: int,

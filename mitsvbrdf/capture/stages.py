@@ -133,7 +133,8 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
         transfer, overruled = used_transfer(transfer, colours)
         notes += overruled
         lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
-        found = judge(lit.pictures, lit.views, transfer, lit.overlap, lit.evenness, fired)
+        found = judge(lit.pictures, lit.views, transfer, lit.overlap,
+                      lit.shading.evenness if lit.shading else None, fired)
         qualities |= found.qualities
         rejected |= rig.rejected | found.rejected
         kept = [photo for photo in kept if photo.name not in rejected]
@@ -147,12 +148,12 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
         lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
     without_pose = [photo for photo in photos if photo.name in rejected.keys() - qualities.keys()]
     rejected |= blurred(without_pose, rejected, rectified.small.values())
-    index = tuple(i for i, photo in enumerate(photos) if photo.name in lit.names)
+    index = tuple(i for i, photo in enumerate(photos) if photo.name in lit.rig.poses)
     capture = Capture(lit.pictures, lit.views, transfer, index, rig.source, photos[0].path.parent,
                       colours=colours)
     return CaptureResult(capture, tuple(photos), replace(lit.rig, rejected=rejected), lit.shading, qualities,
                          coverage_angle(lit.views, COVERAGE_SIDE),
-                         next_best_view(lit.views, lit.names, rig.unit),
+                         next_best_view(lit.views, list(lit.rig.poses), rig.unit),
                          (*notes, *notes_of(colours), *rig.notes, *rectified.notes, *lit.notes))
 
 

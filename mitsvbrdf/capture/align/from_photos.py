@@ -122,7 +122,10 @@ def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pa
     """
     focal = lens.focal
     agreed = [p.matches.pick(p.agree) for p in pairs if p.warp is not None]
-    few = _limited([m for m in agreed if _as_chained(m, warps)], lens.size, MOST_MATCHES // 3)
+    # of photos that lie to each other as the tree of homographies has them, but for a bent lens
+    off = [m.at_b - mapped(warps[m.b] @ np.linalg.inv(warps[m.a]), m.at_a) for m in agreed]
+    few = _limited([m for m, d in zip(agreed, off) if np.median(np.linalg.norm(d, axis=1))
+                    < CHAINED * m.sigma / SIGMA], lens.size, MOST_MATCHES // 3)
     found = [adjust(lens, start, hub, few, focal, focal_share, steps=20)
              for start in starts(lens, warps, hub)]
     lens, poses, _, unsure = min(found, key=lambda f: f[2])
@@ -146,12 +149,6 @@ def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pa
             lens, poses, _, unsure = adjust(lens, poses, kept, _limited(matches, lens.size), focal,
                                             focal_share)
             settled += 1
-
-
-def _as_chained(m: Match, warps: dict[str, Array]) -> bool:
-    """Whether two photos lie to each other as the tree of homographies has them, but for a bent lens."""
-    off = m.at_b - mapped(warps[m.b] @ np.linalg.inv(warps[m.a]), m.at_a)
-    return bool(np.median(np.linalg.norm(off, axis=1)) < CHAINED * m.sigma / SIGMA)
 
 
 def _agreeing(name: str, pairs: list[Pair], matches: list[Match]) -> float:
@@ -180,7 +177,11 @@ def _placed(lens: Lens, poses: dict[str, Pose], photos: dict[str, Photo],
             reference: str) -> tuple[dict[str, Pose], list[str]]:
     """Poses in the frame of the patch, and the photos that are rejected for it."""
     angles = {name: upright(pose, photos[name].orientation) for name, pose in poses.items()}
-    chosen = next(iter(sorted(poses))) if reference == "first" else _frontal(poses, angles)
+    # taken most nearly straight from above, of those that are held as most are
+    like = {a: sum(math.cos(angles[a] - angles[b]) > 0.7 for b in poses) for a in poses}
+    chosen = (min(poses) if reference == "first" else
+              min((name for name in poses if like[name] == max(like.values())),
+                  key=lambda name: poses[name].rotation[2, 2]))
     poses = {name: turned(pose, angles[chosen]) for name, pose in poses.items()}
     outlines = {name: outline(lens, pose) for name, pose in poses.items()}
     _, side, dropped = choose_patch(outlines, LEAST_PHOTOS, chosen if reference == "first" else None)
@@ -193,10 +194,3 @@ def _placed(lens: Lens, poses: dict[str, Pose], photos: dict[str, Photo],
     centre = centred_square([outlines[name] for name in kept], side,
                             np.mean([p.position[:2] for p in kept.values()], axis=0))
     return framed(kept, centre, side), dropped
-
-
-def _frontal(poses: dict[str, Pose], angles: dict[str, float]) -> str:
-    """The photo taken most nearly straight from above, of those that are held as most are."""
-    like = {a: sum(math.cos(angles[a] - angles[b]) > 0.7 for b in poses) for a in poses}
-    return min((name for name in poses if like[name] == max(like.values())),
-               key=lambda name: poses[name].rotation[2, 2])

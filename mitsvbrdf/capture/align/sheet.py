@@ -96,14 +96,6 @@ class Sheet:
         return np.rint(share @ (255.0 * _CELLS) @ share.T).astype(np.uint8), middle[:, None] & middle
 
 
-def _places() -> list[tuple[int, int]]:
-    """Column and row of the top left cell of each tag: clockwise from the top left corner."""
-    ring = [(i, 0) for i in range(5)] + [(4, i) for i in range(1, 4)]
-    ring += [(4 - i, 4) for i in range(5)] + [(0, 4 - i) for i in range(1, 4)]
-    first = (OUTER - FRAME) // 2
-    return [(first + PITCH * column, first + PITCH * row) for column, row in ring]
-
-
 def tag_cells(number: int) -> NDArray[np.bool_]:
     """The 8 x 8 cells of a tag, True is white, row 0 at the top."""
     bits = [CODES[number] >> i & 1 for i in reversed(range(36))]
@@ -122,7 +114,10 @@ def _grids() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     return cells, np.all(around, axis=(2, 3))
 
 
-_PLACES = _places()
+# column and row of the top left cell of each tag: clockwise from the top left corner
+_PLACES = [((OUTER - FRAME) // 2 + PITCH * column, (OUTER - FRAME) // 2 + PITCH * row) for column, row in (
+    *((i, 0) for i in range(4)), *((4, i) for i in range(4)), *((4 - i, 4) for i in range(4)),
+    *((0, 4 - i) for i in range(4)))]
 _CELLS, _WHITE = _grids()
 
 

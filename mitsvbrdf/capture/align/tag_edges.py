@@ -17,10 +17,9 @@ from numpy.typing import NDArray
 from ...color import decode
 from ..lens import Array
 from ..photo import Photo
-from .cut_tags import measured_inside
 from .features import mapped
 from .sheet import TAG, Sheet
-from .tag_profiles import PROFILE, Measured, crossings, profile_values
+from .tag_profiles import PROFILE, Measured, crossings, measured_inside, profile_values
 from .tag_search import LEAST_TAGS, at_rim, detected, expected, fault_of, sought, sought_by_features
 
 MOST_PIXELS = 4100  # of the long side that is measured; 12 megapixels are 4032 wide

@@ -45,16 +45,6 @@ class Lit:
     views: Views
     notes: tuple[str, ...]
 
-    @property
-    def names(self) -> list[str]:
-        """Of the photos."""
-        return list(self.rig.poses)
-
-    @property
-    def evenness(self) -> dict[str, float] | None:
-        """See :class:`~.solve.Shading`; None where it is not known."""
-        return self.shading.evenness if self.shading else None
-
     @classmethod
     def of(cls, rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Paper | None = None,
            depth: float = 0.0) -> Lit:
@@ -68,7 +58,7 @@ class Lit:
         rig = replace(rig, poses={name: rig.poses[name] for name in given})
         shading, notes = _shading(rig, rectified, transfer, paper, depth)
         if shading:
-            rig = replace(rig, lens=shading.lens)
+            rig = replace(rig, lens=shading.lens, poses=shading.poses)
         pictures = [without_vignetting(rectified.pictures[name], rig, name, transfer) for name in given]
         overlap = {name: float(np.isfinite(picture).all(axis=-1).mean())
                    for name, picture in zip(given, pictures)}

@@ -13,6 +13,7 @@ from ...io.layout import Layout
 from ..lens import Array
 from ..rig import Rig
 from .samples import Samples, falloff_of, transmission_of
+from .upside_down import Flashes
 
 # Priors, standard deviations. A phone's flash is 1 to 3 cm beside its lens, in the same plane.
 FLASH_SD = {"cm": (2.0, 2.0, 0.3), "patch sides": (0.1, 0.1, 0.02)}
@@ -135,3 +136,17 @@ class Problem:
         for column in out.T:
             column -= share * (np.bincount(texel, weights * share * column) / total)[texel]
         return np.concatenate((-np.sqrt(weights)[:, None] / scale * out * self.spread, np.eye(len(x))))
+
+    def flashes_of_each(self, unknowns: Array, weights: Array, scale: float) -> Flashes:
+        """The flash that each photo shows on paper by itself, near ``unknowns``."""
+        both, places, information = self.layout.numbers.flash[:2], [], []
+        albedo, _, error = self.explain(unknowns, weights)
+        slopes = self.slopes(unknowns, albedo)[:, both]
+        for photo in range(len(self.turns)):
+            w, rows = (x[self.samples.photo == photo] for x in (weights / scale**2,
+                                                                np.column_stack((slopes, error))))
+            rows = rows - w @ rows / w.sum().clip(1e-12)  # of any exposure
+            square = rows.T @ (w[:, None] * rows)
+            information.append(square[:2, :2] + 1e-9 * np.eye(2))
+            places.append(unknowns[both] + np.linalg.solve(information[-1], square[:2, 2]))
+        return Flashes(np.array(places), np.array(information), np.diag(self.spread[both] ** -2.0))

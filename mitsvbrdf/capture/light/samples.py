@@ -58,7 +58,8 @@ def paper_samples(pixels: np.ndarray, lens: Lens, pose: Pose, white: Callable[[A
         here.append((there, at))
     usable &= (brightest < NEARLY_CLIPPED).all(axis=1) & ((brightest - darkest).max(axis=1) < 0.25)
     cells = row * CELLS // rows * CELLS + column * CELLS // columns
-    return _Seen(*here[0], _decoded(display, transfer), display, usable, np.zeros(len(row), dtype=int), cells)
+    linear = color.decode(torch.from_numpy(display), transfer).numpy()
+    return _Seen(*here[0], linear, display, usable, np.zeros(len(row), dtype=int), cells)
 
 
 def material_samples(photo: np.ndarray, lens: Lens, pose: Pose, size: float,
@@ -74,12 +75,8 @@ def material_samples(photo: np.ndarray, lens: Lens, pose: Pose, size: float,
     row, column = (index.ravel() for index in np.mgrid[:side, :side])
     usable = (brightest < NEARLY_CLIPPED).all(axis=1)  # NaN is no number below
     cells = row * CELLS // side * CELLS + column * CELLS // side
-    return _Seen(points, project(lens, pose, points), _decoded(display, transfer), display, usable,
-                 row * side + column, cells)
-
-
-def _decoded(display: Array, transfer: color.Transfer) -> Array:
-    return color.decode(torch.from_numpy(display), transfer).numpy()
+    linear = color.decode(torch.from_numpy(display), transfer).numpy()
+    return _Seen(points, project(lens, pose, points), linear, display, usable, row * side + column, cells)
 
 
 @dataclass(frozen=True)

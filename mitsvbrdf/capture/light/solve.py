@@ -13,10 +13,11 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from ..lens import Array, Lens
+from ..lens import Array, Lens, Pose
 from ..rig import Rig
 from .problem import LOG_F0, Problem
 from .samples import Samples
+from .upside_down import Flashes
 
 # times: how far beyond what noise explains unknowns of known materials, which share no one lobe, were off
 MISFIT = 4.0
@@ -41,6 +42,7 @@ class Shading:
         exposure_deviations: those of ``log_exposure``.
         evenness: by name, 0 where light falls off as a flash's, 1 where it is even; 0 too where that cannot
             be told.
+        poses: by name; those of photos that were saved upside down are turned.
         notes: what was assumed, and which photos do not count.
         tint: of photos whose white balance is not that of the others, by name: factors of rgb.
     """
@@ -51,6 +53,7 @@ class Shading:
     deviations: dict[str, float]
     exposure_deviations: dict[str, float]
     evenness: dict[str, float]
+    poses: dict[str, Pose]
     notes: tuple[str, ...] = ()
     tint: dict[str, Array] = field(default_factory=dict)
 
@@ -69,13 +72,9 @@ class _Found:
     colour: Array
     albedo: Array  # logarithm, over pi, of each texel, for an intensity of 1; NaN where nothing is known
     evenness: dict[str, float]
-    unlit: tuple[str, ...]
-
-    @property
-    def lens(self) -> Lens:
-        """The rig's lens with the flash and vignetting found."""
-        return replace(self.rig.lens, flash=tuple(self.unknowns.flash.tolist()),
-                       vignetting=tuple(self.unknowns.vignetting.tolist()))
+    flashes: Flashes | None  # of paper
+    unlit: tuple[str, ...] = ()
+    turned: tuple[str, ...] = ()
 
     @property
     def lobe(self) -> float:
@@ -87,25 +86,44 @@ class _Found:
         names = self.samples.names
         shared = zip(("flash_x", "flash_y", "flash_z", "v1", "v2"),
                      (*self.deviations.flash.tolist(), *self.deviations.vignetting.tolist()))
+        if self.turned:
+            notes += (f"saved upside down, as the flash on the other side of the lens shows: "
+                      f"{', '.join(self.turned)}; taken as turned",)
         if self.unlit:
             notes += (f"no flash in {', '.join(self.unlit)}: light is even there",)
         elif even := sum(e > EVEN for e in self.evenness.values()):
             notes += (f"light does not fall off as a flash's in {even} of {len(names)} photos: where it "
                       "comes from is a guess",)
         red, green, blue = (float(i) for i in intensity)
-        return Shading(self.lens, (red, green, blue), dict(zip(names, self.unknowns.exposures.tolist())),
+        lens = replace(self.rig.lens, flash=tuple(self.unknowns.flash.tolist()),
+                       vignetting=tuple(self.unknowns.vignetting.tolist()))
+        return Shading(lens, (red, green, blue), dict(zip(names, self.unknowns.exposures.tolist())),
                        dict(shared) | {"log_intensity": float(log_intensity_sd)},
-                       dict(zip(names, self.deviations.exposures.tolist())), self.evenness, notes)
+                       dict(zip(names, self.deviations.exposures.tolist())), self.evenness,
+                       self.rig.poses, notes)
 
 
 def solve_light(rig: Rig, samples: Samples) -> _Found:
     """The most probable unknowns; once more without the photos whose light is even, if there are any."""
-    found = _most_probable(rig, samples, np.ones(len(samples.names)))
+    found = _turned(_most_probable(rig, samples, counts := np.ones(len(samples.names))), counts)
     even = np.array([found.evenness[name] > EVEN for name in samples.names])
     if even.any() and 2 * even.sum() < len(even):
-        again = _most_probable(rig, samples, 1.0 - even)
-        found = replace(again, unlit=tuple(name for name, e in zip(samples.names, even) if e))
+        found = _turned(_most_probable(rig, samples, counts := 1.0 - even), counts)
+        found = replace(found, unlit=tuple(name for name, e in zip(samples.names, even) if e))
     return found
+
+
+def _turned(found: _Found, counts: Array) -> _Found:
+    """The light with photos turned that surely were saved upside down; in rounds, as misfits count little."""
+    new, signs = found, np.ones(len(counts))
+    for _ in range(ROUNDS):
+        if new.flashes is None or (change := new.flashes.likeliest()).min() > 0:
+            break
+        signs = signs * change * (np.sign((signs * change).sum()) or 1)
+        turned = tuple(name for name, sign in zip(found.samples.names, signs) if sign < 0)
+        poses = found.rig.poses | {name: found.rig.poses[name].upside_down() for name in turned}
+        new = replace(_most_probable(replace(found.rig, poses=poses), found.samples, counts), turned=turned)
+    return new if new.flashes and new.flashes.turned(signs) else found
 
 
 def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
@@ -126,7 +144,10 @@ def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
     solution = least_squares(problem.residuals, x, problem.jacobian, method="lm", args=(weights, scale),
                              max_nfev=20)
     unknowns = solution.x * problem.spread
-    albedo, gloss, _ = problem.explain(unknowns, weights)
+    albedo, gloss, error = problem.explain(unknowns, weights)
+    # errors of a photo that was saved upside down are no highlights: above they count as below
+    own = samples.weight * counts[samples.photo] * problem.away(unknowns) * trust_of(-np.abs(error) / noise)
+    flashes = None if samples.glossy else problem.flashes_of_each(unknowns, own, scale)
     covariance = np.linalg.inv(solution.jac.T @ solution.jac) * np.outer(problem.spread, problem.spread)
     total = np.bincount(samples.texel, weights)
     colour = np.average(samples.colour, axis=0, weights=weights)
@@ -135,7 +156,7 @@ def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
     return _Found(rig, samples, problem.layout.unpack(unknowns),
                   problem.layout.unpack(np.sqrt(covariance.diagonal())),
                   problem.typical, float(albedo[0]), level_sd, colour, np.where(total > 1e-3, albedo, np.nan),
-                  evenness_of(problem, unknowns, weights, gloss), ())
+                  evenness_of(problem, unknowns, weights, gloss), flashes)
 
 
 def noise_of(error: Array, weights: Array) -> float:

@@ -66,7 +66,10 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, over
         overlap: share of the patch that each photo shows, by name, in the order of the photos.
         evenness: see :class:`PhotoQuality`; None: it is not known.
     """
-    irradiance = _irradiance(views, RADIANCE_SIDE)
+    views = views.in_patch_sides()
+    ray = views.light.double()[:, None, None] - texel_positions(RADIANCE_SIDE)
+    power = views.intensity.double().mean(dim=1)[:, None, None]
+    irradiance = (power * ray[..., 2] / ray.norm(dim=-1) ** 3 / math.pi).float()  # of a white diffuse texel
     linear, clipped = color.decode(photos, transfer), (photos >= NEARLY_CLIPPED).any(dim=-1)
     linear = resized(linear, min(RADIANCE_SIDE, photos.shape[1]))
     luminance = resized(photos, min(DETAIL_SIDE, photos.shape[1])).mean(dim=-1).numpy()
@@ -89,14 +92,6 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, over
                          unlike=_largest_piece(unlike[i].numpy()), unlike_detail=_largest_piece(lost[i]),
                          evenness=(evenness or {}).get(name))
             for i, (name, shown) in enumerate(overlap.items())]
-
-
-def _irradiance(views: Views, side: int) -> Tensor:
-    """Mean radiance of a white diffuse texel in each photo, N x S x S."""
-    views, at = views.in_patch_sides(), texel_positions(side)
-    ray = views.light.double()[:, None, None] - at
-    power = views.intensity.double().mean(dim=1)[:, None, None]
-    return (power * ray[..., 2] / ray.norm(dim=-1) ** 3 / math.pi).float()
 
 
 def _sharpness(luminance: np.ndarray, plain: np.ndarray) -> np.ndarray:

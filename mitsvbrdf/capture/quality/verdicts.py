@@ -1,8 +1,8 @@
 """Which photos are rejected, and why: verdicts on their quality.
 
 A photo is rejected where it would do harm: highlights, falloff, shadows of a relief and the softness of a
-slanted view are no reasons. A new reason is a function like those below and a line of :data:`REASONS`; a
-number that it needs is a field of :class:`~.photo_quality.PhotoQuality`.
+slanted view are no reasons. A number that a reason needs is a field of
+:class:`~.photo_quality.PhotoQuality`.
 
 Limits were measured on 108 photos of twelve materials, none of which may be called bad; behind each stands
 the worst of these.
@@ -10,7 +10,7 @@ the worst of these.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -40,61 +40,27 @@ LEAST_DETAIL = 0.45
 SAME_PLACE, SAME_PICTURE = 0.05, 0.02  # patch sides, mean difference of display values; 0.135 and 0.035
 
 
-@dataclass(frozen=True)
-class Beside:
-    """What a photo is judged beside: all photos, pixels a side of the patch, flash "fired" or "off"."""
-
-    qualities: Sequence[PhotoQuality]
-    side: int
-    fired: Mapping[str, str]
-
-
-def _flash_off(photo: PhotoQuality, beside: Beside) -> str | None:
-    some_fired = any(beside.fired.get(each.name) == "fired" for each in beside.qualities)
-    off = some_fired and beside.fired.get(photo.name) == "off"
-    return "taken without flash (says its EXIF)" if off else None
-
-
-def _outside(photo: PhotoQuality, beside: Beside) -> str | None:
-    outside = photo.overlap < LEAST_OVERLAP
-    return f"partly outside: it shows only {photo.overlap:.0%} of the patch" if outside else None
-
-
-def _overexposed(photo: PhotoQuality, beside: Beside) -> str | None:
-    clipped = photo.clipped > MOST_CLIPPED
-    return f"overexposed: {photo.clipped:.0%} of the patch is clipped" if clipped else None
-
-
-def _covered(photo: PhotoQuality, beside: Beside) -> str | None:
-    piece = max(photo.unlike, photo.unlike_detail)
-    covered = photo.unlike > UNLIKE or photo.unlike_detail > UNLIKE_DETAIL
-    return (f"covered: {piece:.0%} of the patch is nothing like in the other photos, as if a finger or a "
-            "shadow were on it") if covered else None
-
-
-def _exposure(photo: PhotoQuality, beside: Beside) -> str | None:
-    way = "brighter" if photo.stops > 0 else "darker"
-    other = abs(photo.stops) > MOST_STOPS
-    return f"{abs(photo.stops):.1f} stops {way} than the other photos" if other else None
-
-
-def _blurred(photo: PhotoQuality, beside: Beside) -> str | None:
-    soft = photo.sharpness < LEAST_SHARPNESS * min(1, beside.side / ENOUGH)
-    return f"blurred: {photo.sharpness:.2f} times as sharp as the others" if soft else None
-
-
-def _even_light(photo: PhotoQuality, beside: Beside) -> str | None:
-    even = [each.name for each in beside.qualities if (each.evenness or 0) > MOST_EVENNESS]
-    # of most photos, it says that the model is wrong
-    alone = photo.name in even and len(even) < len(beside.qualities) / 2
-    return "taken without flash: its light does not fall off as that of the others does" if alone else None
-
-
-# In the order in which they are asked: the first that holds is named. True: a photo like that may mislead the
-# search for where all cameras stood.
-REASONS: tuple[tuple[Callable[[PhotoQuality, Beside], str | None], bool], ...] = (
-    (_flash_off, False), (_outside, True), (_overexposed, False), (_covered, True), (_exposure, False),
-    (_blurred, True), (_even_light, False))
+def _reason(photo: PhotoQuality, qualities: Sequence[PhotoQuality], side: int,
+            fired: Mapping[str, str]) -> tuple[str, bool] | None:
+    """Why a photo is rejected, the first reason that holds, and whether it may mislead the poses of all."""
+    if fired.get(photo.name) == "off" and any(fired.get(each.name) == "fired" for each in qualities):
+        return "taken without flash (says its EXIF)", False
+    if photo.overlap < LEAST_OVERLAP:
+        return f"partly outside: it shows only {photo.overlap:.0%} of the patch", True
+    if photo.clipped > MOST_CLIPPED:
+        return f"overexposed: {photo.clipped:.0%} of the patch is clipped", False
+    if photo.unlike > UNLIKE or photo.unlike_detail > UNLIKE_DETAIL:
+        return (f"covered: {max(photo.unlike, photo.unlike_detail):.0%} of the patch is nothing like in the "
+                "other photos, as if a finger or a shadow were on it"), True
+    if abs(photo.stops) > MOST_STOPS:
+        way = "brighter" if photo.stops > 0 else "darker"
+        return f"{abs(photo.stops):.1f} stops {way} than the other photos", False
+    if photo.sharpness < LEAST_SHARPNESS * min(1, side / ENOUGH):
+        return f"blurred: {photo.sharpness:.2f} times as sharp as the others", True
+    even = [each.name for each in qualities if (each.evenness or 0) > MOST_EVENNESS]
+    if photo.name in even and len(even) < len(qualities) / 2:  # else the model is wrong
+        return "taken without flash: its light does not fall off as that of the others does", False
+    return None
 
 
 @dataclass(frozen=True)
@@ -125,12 +91,10 @@ def judge(photos: Tensor, views: Views, transfer: color.Transfer, overlap: Mappi
         fired: "fired" or "off" by name, as EXIF says of the flash.
     """
     found = photo_qualities(photos, views, transfer, overlap, evenness)
-    beside, rejected, misled = Beside(found, photos.shape[1], fired or {}), dict[str, str](), False
+    rejected, misled = dict[str, str](), False
     for photo in found:
-        said = ((reason(photo, beside), misleads) for reason, misleads in REASONS)
-        what, misleads = next((each for each in said if each[0]), (None, False))
-        if what:
-            rejected[photo.name], misled = what, misled or misleads
+        if said := _reason(photo, found, photos.shape[1], fired or {}):
+            rejected[photo.name], misled = said[0], misled or said[1]
     rejected |= _twice(found, photos, views, rejected)
     return Verdicts({photo.name: photo for photo in found}, rejected, misled)
 
