@@ -18,27 +18,16 @@ from ..material.conversion import as_shown, layered, relative_f0
 from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..material.relief import heights, occlusion
 from .residual import residual
-from .textures import DEFAULTS, LINEAR, SRGB, Export, ExportSettings, Texture, described, stored
+from .textures import DEFAULTS, LINEAR, NOTES, Export, ExportSettings, Texture, described, rendered, stored
 
 FILE = "material.glb"
-FLOAT, UNSIGNED_SHORT = 5126, 5123
-CLAMP_TO_EDGE, REPEAT, LINEAR_FILTER, MIPMAPS = 33071, 10497, 9729, 9987
-ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER = 34962, 34963
-
-# The patch of docs/conventions.md, side 1, seen from +z. glTF's v grows downward: v = 0 is row 0 of the
-# image, the top.
-CORNERS = ((-0.5, -0.5, 0.0), (0.5, -0.5, 0.0), (0.5, 0.5, 0.0), (-0.5, 0.5, 0.0))
-UVS = ((0.0, 1.0), (1.0, 1.0), (1.0, 0.0), (0.0, 0.0))
-TRIANGLES = (0, 1, 2, 0, 2, 3)
-LAYER_NOTE = ("glTF lets diffuse light through by 1 - max(F), ours by a sum: what is no metal is darker by "
-              "F0, 4 %")
-NOTES = (
-    "glTF lets diffuse light through by 1 - max(F), ours by a sum: the base colour is diffuse / (1 - "
-    "max(F0)), the same seen from above, darker at grazing angles",
-    "glTF's Fresnel curve is Schlick's, ours that of a real refractive index; F0 is the same",
-    "roughness is ours: the GGX alpha is its square in both",
-    "textures have 8 bits: GPUs decode sRGB from 8 bits only",
-)
+# The patch of docs/conventions.md, side 1, seen from +z: corners, normals, tangents, texture coordinates.
+# The tangent is +x and, with w = 1, the bitangent cross(normal, tangent) = +y: the up of our normal maps.
+# glTF's v grows downward: v = 0 is row 0 of the image, the top.
+CORNERS = -0.5, -0.5, 0.0, 0.5, -0.5, 0.0, 0.5, 0.5, 0.0, -0.5, 0.5, 0.0
+FRAME = (0.0, 0.0, 1.0) * 4, (1.0, 0.0, 0.0, 1.0) * 4, (0.0, 1.0, 1.0, 1.0, 1.0, 0.0, 0.0, 0.0)
+TRIANGLES = 0, 1, 2, 0, 2, 3
+CLAMP_TO_EDGE, REPEAT, VERTICES, INDICES = 33071, 10497, {"target": 34962}, {"target": 34963}
 
 
 def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
@@ -73,53 +62,27 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
         largest = max(float(factor.max()), 1.0)  # a texture ends at 1, the factor beside it does not
         images["specular_color"] = color.encode(factor / largest, "srgb")
         textures.append(Texture(f"{FILE}: specular_color",
-                                f"factor on the dielectric F0 of 0.04, divided by {largest:.6g}", SRGB, 8))
+                                f"factor on the dielectric F0 of 0.04, divided by {largest:.6g}", "sRGB", 8))
         extension = {"specularColorFactor": [largest] * 3, "specularColorTexture": {"index": 3}}
     files.write_bytes(folder / FILE, _glb(images, extension, settings))
-    return Export((FILE,), tuple(textures), NOTES if extension else (LAYER_NOTE, *NOTES[1:]), lost)
+    return Export((FILE,), tuple(textures), tuple(NOTES["gltf"][svbrdf.bsdf]), lost)
 
 
 def _glb(textures: dict[str, Tensor], specular: dict, settings: ExportSettings) -> bytes:
-    blob, views, wrap = bytearray(), [], REPEAT if settings.repeats else CLAMP_TO_EDGE
-
-    def add(data: bytes, **about: int) -> int:
+    """The file by the template ``material.gltf``, which knows the order of the buffer's parts."""
+    side, blob, views = settings.side or 1.0, bytearray(), list[dict]()
+    numbers = [tuple(side * x for x in CORNERS), *FRAME]
+    parts: list[tuple[bytes, dict]] = [(struct.pack(f"<{len(each)}f", *each), VERTICES) for each in numbers]
+    parts += [(struct.pack("<6H", *TRIANGLES), INDICES), *((images.encode_png(each), {}) for each in
+                                                           textures.values())]
+    for data, about in parts:
         blob.extend(b"\0" * (-len(blob) % 4))
         views.append({"buffer": 0, "byteOffset": len(blob), "byteLength": len(data), **about})
         blob.extend(data)
-        return len(views) - 1
-
-    def accessor(rows: tuple, kind: str) -> dict:
-        numbers = [x for row in rows for x in row]
-        ends = {"min": [min(c) for c in zip(*rows)], "max": [max(c) for c in zip(*rows)]}
-        return {"bufferView": add(struct.pack(f"<{len(numbers)}f", *numbers), target=ARRAY_BUFFER),
-                "componentType": FLOAT, "count": len(rows), "type": kind, **ends}
-
-    # The tangent is +x and, with w = 1, the bitangent cross(normal, tangent) = +y: the up of our normal maps.
-    corners = tuple(tuple((settings.side or 1.0) * x for x in corner) for corner in CORNERS)
-    accessors = [accessor(corners, "VEC3"), accessor(((0.0, 0.0, 1.0),) * 4, "VEC3"),
-                 accessor(((1.0, 0.0, 0.0, 1.0),) * 4, "VEC4"), accessor(UVS, "VEC2"),
-                 {"bufferView": add(struct.pack("<6H", *TRIANGLES), target=ELEMENT_ARRAY_BUFFER),
-                  "componentType": UNSIGNED_SHORT, "count": 6, "type": "SCALAR"}]
-    pictures = [{"name": name, "mimeType": "image/png", "bufferView": add(images.encode_png(image))}
-                for name, image in textures.items()]
-    material: dict = {
-        "name": settings.name,
-        "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicRoughnessTexture": {"index": 1}},
-        "normalTexture": {"index": 2}, "occlusionTexture": {"index": 1}}
-    copyright = {"copyright": settings.licence} if settings.licence else {}
-    document = {
-        "asset": {"version": "2.0", "generator": f"mitsvbrdf {__version__}"} | copyright,
-        "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{"name": "patch", "mesh": 0}],
-        "meshes": [{"name": "patch", "primitives": [{
-            "attributes": {"POSITION": 0, "NORMAL": 1, "TANGENT": 2, "TEXCOORD_0": 3}, "indices": 4,
-            "material": 0}]}],
-        "materials": [material], "accessors": accessors, "bufferViews": views, "images": pictures,
-        "samplers": [{"magFilter": LINEAR_FILTER, "minFilter": MIPMAPS, "wrapS": wrap, "wrapT": wrap}],
-        "textures": [{"name": name, "sampler": 0, "source": k} for k, name in enumerate(textures)],
-        "buffers": [{"byteLength": len(blob)}]}
-    if specular:
-        material["extensions"] = {"KHR_materials_specular": specular}
-        document["extensionsUsed"] = ["KHR_materials_specular"]
+    document = json.loads(rendered(
+        "material.gltf", version=__version__, name=settings.name, licence=settings.licence, half=side * 0.5,
+        specular=specular and json.dumps(specular), views=json.dumps(views), textures=list(textures),
+        length=len(blob), wrap=REPEAT if settings.repeats else CLAMP_TO_EDGE))
     text = json.dumps(document, separators=(",", ":")).encode()
     return _container((b"JSON", text, b" "), (b"BIN\0", bytes(blob), b"\0"))
 

@@ -16,14 +16,9 @@ from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..material.naming import FILE_NAMES
 from ..material.relief import heights, occlusion
 from .residual import residual
-from .textures import DEFAULTS, NORMALS, Export, ExportSettings, write_texture
+from .textures import DEFAULTS, NORMALS, NOTES, Export, ExportSettings, write_texture
 
 LONGEST = 100  # bytes of a material's name in file names; more would not fit every file system
-LOSSY_NOTE = ("metallic is 0 or 1: base colour is F0 of metals, and of all else diffuse / (1 - F0), for most "
-              "programs lay the highlight over the diffuse light; the specular level (Blender's Specular IOR "
-              "Level, F0 = 0.08 times it) has F0 up to 0.08")
-GAMMA_NOTE = ("MaterialGAN's programs take dif, spe and rgh for gamma 2.2: here dif and spe are sRGB and rgh "
-              "is linear")
 
 
 def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
@@ -64,7 +59,7 @@ def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
             "encoding": {key: code for key, code in ENCODINGS["srgb"].items() if key in chosen}
             | {"normal": NORMALS[normal]}})
     lossy = bool(lost) and "metallic" in chosen
-    notes = ((LOSSY_NOTE,) if lossy else ()) + ((GAMMA_NOTE,) if naming == "materialgan" else ())
+    notes = (NOTES["maps"]["lossy"],) * lossy + (NOTES["maps"]["gamma"],) * (naming == "materialgan")
     return Export(tuple(texture.file for texture in written), tuple(written), notes, lost if lossy else None)
 
 

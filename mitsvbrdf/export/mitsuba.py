@@ -14,18 +14,13 @@ from ..material.maps import SVBRDF, Bsdf
 from ..render.bsdf import plugin, slot_values
 from ..render.needs import Needs
 from ..views import Views
-from .textures import DEFAULTS, LINEAR, NORMALS, Export, ExportSettings, Texture
+from .textures import DEFAULTS, LINEAR, NORMALS, NOTES, Export, ExportSettings, Texture
 
 # Beside the package in a checkout, inside it when installed from a wheel.
 SCENES = next((p for p in (Path(__file__).parents[1] / "scenes", Path(__file__).parents[2] / "scenes")
                if p.is_dir()), Path("scenes"))
 
 LIGHT_NOTE = "the light of scene.xml falls off with 1 / d^2, whatever the fit's did"
-HOLDS = {"diffuse_x2": "diffuse, times 2 for the blend of two lobes",
-         "alpha": "GGX alpha, the square of roughness",
-         "specular_x2": "F0 over what eta gives (1 but at the ends of its range), times 2 for the blend of "
-                        "two lobes",
-         "eta": "refractive index with this F0"}
 
 
 @entry()
@@ -69,8 +64,8 @@ def write_mitsuba(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAU
     """The scene for Mitsuba 3; see :func:`write_scene`."""
     write_scene(folder, svbrdf, views, settings.repeats)
     slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), Needs(), stock=True)
-    normals = {"normal": NORMALS["gl"]}
-    textures = tuple(Texture(f"scene/{slot}.exr", HOLDS.get(slot, slot), LINEAR, 32, normals.get(slot))
+    normals, holds = {"normal": NORMALS["gl"]}, NOTES["mitsuba"]
+    textures = tuple(Texture(f"scene/{slot}.exr", holds.get(slot, slot), LINEAR, 32, normals.get(slot))
                      for slot in slots)
     return Export(("scene.xml",), textures, (LIGHT_NOTE,))
 

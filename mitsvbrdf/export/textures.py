@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
@@ -19,6 +20,7 @@ Bits = Literal[8, 16]
 Naming = Literal["own", "polyhaven", "ambientcg", "substance", "materialgan"]
 
 SRGB, LINEAR = "sRGB", "linear"
+NOTES = tomllib.loads(Path(__file__).with_name("notes.toml").read_text(encoding="utf-8"))  # by format
 NORMALS = {"gl": "OpenGL, +Y up, (n + 1) / 2", "dx": "DirectX, +Y down, (n + 1) / 2"}
 
 
@@ -98,6 +100,14 @@ def write_texture(folder: Path, file: str, name: str, value: Tensor, bits: Bits,
     """Write ``folder/file``, a PNG of a linear map."""
     images.write_png(folder / file, stored(name, value, normal), bits)
     return described(file, name, bits, normal)
+
+
+def rendered(template: str, **about: object) -> bytes:
+    """A document, by the template of its name beside this module."""
+    import jinja2
+
+    text = Path(__file__).with_name(template).read_text(encoding="utf-8")
+    return jinja2.Template(text, trim_blocks=True, keep_trailing_newline=True).render(about).encode()
 
 
 @dataclass(frozen=True)

@@ -9,23 +9,14 @@ from typing import Literal
 
 from ..errors import ConfigError, MapsError
 from ..io.json import error_text, load
-from .maps import CHANNELS, COLOURS, TITLES
-from .naming import KINDS
+from .maps import CHANNELS, TITLES
+from .naming import KINDS, NAMES
 
 NormalConvention = Literal["gl", "dx"]
 
 # How the fields' files are encoded, by the names that material.json and --encoding use.
-ENCODINGS: dict[str, dict[str, str]] = {
-    "linear": dict.fromkeys(("diffuse", "specular", "roughness", "base_color", "metallic"), "linear"),
-    "gamma 2.2": dict.fromkeys(("diffuse", "specular", "roughness", "base_color"), "gamma 2.2")
-    | {"metallic": "linear"},
-    "srgb": dict.fromkeys(COLOURS, "srgb") | {"roughness": "linear", "metallic": "linear"},
-}
-# Other words for them, without spaces and signs: those of Blender, MaterialX, Unreal, glTF.
-_SPELLINGS = {"gamma22": "gamma 2.2", "22": "gamma 2.2", "srgb": "srgb", "srgbtexture": "srgb",
-              "srgbrec709scene": "srgb", "linear": "linear", "raw": "linear", "noncolor": "linear",
-              "noncolour": "linear", "data": "linear", "linrec709": "linear", "linrec709scene": "linear",
-              "none": "linear"}
+ENCODINGS: dict[str, dict[str, str]] = NAMES["encodings"]
+_SPELLINGS = {word: code for code, words in NAMES["spellings"].items() for word in words.split()}
 _CONVENTIONS = {"dx": r"\bdx\b|directx|d3d|[+]?\s*y\s*down|-\s*y", "gl": r"\bgl\b|opengl|[+]\s*y|y\s*up"}
 
 
@@ -47,7 +38,7 @@ def read_material_json(folder: Path) -> dict:
         codes = stated.get("encoding", {})
         if not isinstance(codes, dict) or not all(isinstance(code, str) for code in codes.values()):
             raise ValueError("its encoding is no object of texts")
-        return stated | {"encoding": dict(_code(*item) for item in codes.items())}
+        return stated | {"encoding": dict(code_of(*item) for item in codes.items())}
     except (OSError, ValueError) as reason:
         raise MapsError("a valid material.json", f"{path}: {error_text(reason)}",
                         "mend it, or delete it for the habit of the names") from None
@@ -59,7 +50,7 @@ def asked_codes(encoding: str | None, normal: NormalConvention | None) -> dict[s
     try:
         for item in (encoding or "").split(",") if encoding is not None else []:
             name, sign, code = item.rpartition("=")
-            asked |= dict([_code(name, code)] if sign else ENCODINGS[_code("diffuse", code)[1]])
+            asked |= dict([code_of(name, code)] if sign else ENCODINGS[code_of("diffuse", code)[1]])
     except ValueError as reason:
         raise ConfigError("--encoding CODE or NAME=CODE,...", f"{encoding!r}: {reason}",
                           "e.g. --encoding roughness=linear") from None
@@ -68,7 +59,7 @@ def asked_codes(encoding: str | None, normal: NormalConvention | None) -> dict[s
     return asked | ({"normal": normal} if normal else {})
 
 
-def _code(name: str, code: str) -> tuple[str, str]:
+def code_of(name: str, code: str) -> tuple[str, str]:
     """A map and its encoding in our words; ValueError for other words."""
     squeezed = re.sub(r"[^a-z0-9]", "", name.lower())
     known = name if name in TITLES else KINDS.get(squeezed, "").partition(" ")[0]

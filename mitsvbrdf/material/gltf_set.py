@@ -9,7 +9,7 @@ import base64
 import contextlib
 import struct
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -41,11 +41,11 @@ def gltf_set(path: Path, encoding: str | None, normal: NormalConvention | None) 
                 names = ", ".join(str(m.get("name", k)) for k, m in enumerate(materials[:9])) or "none"
                 raise MapsError("a glTF file of one material", f"{path} with {len(materials)} ({names})",
                                 "export the material that is meant alone")
-            found = _sources(path, document, materials[0], binary, Path(spare))
+            found = _found(path, document, materials[0], binary, Path(spare))
         except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, struct.error) as reason:
             raise MapsError("a whole glTF 2.0 file", f"{path}: {type(reason).__name__} {error_text(reason)}",
                             "export it again") from None
-        yield MapSet(path, found, {"normal": "gl", "f0": "srgb"} | asked)
+        yield found._replace(stated=dict(found.stated) | asked)
 
 
 def _parts(path: Path) -> tuple[dict, bytes]:
@@ -63,23 +63,32 @@ def _parts(path: Path) -> tuple[dict, bytes]:
     return parsed(chunks[b"JSON"].rstrip(b" \0")), chunks.get(b"BIN\0", b"")
 
 
-def _sources(path: Path, document: dict, material: dict, binary: bytes, spare: Path) -> dict[str, Source]:
+def _found(path: Path, document: dict, material: dict, binary: bytes, spare: Path) -> MapSet:
     def texture(info: dict | None, name: str) -> Path | None:
         if info is None:
             return None
         if info.get("scale", 1) != 1:
             raise MapsError("normals at scale 1", f"{path} with {info['scale']}", "bake the scale")
-        about = document["images"][document["textures"][info["index"]]["source"]]
+        found = document["textures"][info["index"]]
+        if "source" not in (found := found.get("extensions", {}).get("EXT_texture_webp", found)):
+            raise MapsError("textures in PNG, JPEG or WebP", f"{name} in {path} as "
+                            f"{', '.join(found.get('extensions', {}))}", "export it without KTX2")
+        about = document["images"][found["source"]]
+        moved = info.get("extensions", {}).get("KHR_texture_transform", {})
+        moved = {key: value for key, value in ({"texCoord": info.get("texCoord", 0)} | moved).items()
+                 if value not in (0, [0, 0]) and (key, value) != ("scale", [1, 1])}
+        placed[name] = ", ".join(f"{key} {value}" for key, value in moved.items())
         if "bufferView" not in about and not about["uri"].startswith("data:"):
-            return _beside(path, about["uri"])
-        data = (_view(document, about["bufferView"], path, binary) if "bufferView" in about
-                else _inline(about["uri"]))
-        kind = ".png" if data[:4] == b"\x89PNG" else ".jpg"
-        file = spare / f"{name}{kind}"
-        file.write_bytes(data)
+            return beside(path, unquote(about["uri"]))
+        file = spare / name
+        file.write_bytes(_view(document, about["bufferView"], path, binary) if "bufferView" in about else
+                         base64.b64decode(about["uri"].partition(",")[2], validate=True))
         return file
 
+    placed: dict[str, str] = {}
     surface, more = material.get("pbrMetallicRoughness", {}), material.get("extensions", {})
+    if "KHR_materials_pbrSpecularGlossiness" in more:
+        raise MapsError("a metal/rough material", f"{path} with specular/gloss", "export it as metal/rough")
     packed = texture(surface.get("metallicRoughnessTexture"), "metallic_roughness")
     found = {
         "base_color": Source(texture(surface.get("baseColorTexture"), "base_color"),
@@ -100,28 +109,40 @@ def _sources(path: Path, document: dict, material: dict, binary: bytes, spare: P
         level *= specular.get("specularFactor", 1)
         found["f0"] = Source(texture(specular.get("specularColorTexture"), "specular_color"), factor=tuple(
             level * x for x in _numbers(specular.get("specularColorFactor", (1, 1, 1)))))
-    return found
+    lacking = [*(set(more) - {"KHR_materials_specular", "KHR_materials_ior"}),
+               *({"emissiveTexture"} & set(material)), *({"BLEND", "MASK"} & {material.get("alphaMode")})]
+    meshes = [each for mesh in document.get("meshes", []) for each in mesh["primitives"]]
+    lacking += ["colours of vertices"] * any("COLOR_0" in each["attributes"] for each in meshes)
+    return MapSet(path, found, {"normal": "gl", "f0": "srgb"}, way="--encoding {}", remarks=(
+        *(f"passed over {name}" for name in sorted(lacking)), *placed_alike(path, placed)))
+
+
+def placed_alike(path: Path, placed: Mapping[str, str]) -> list[str]:
+    """What to say of how textures, by name, are placed, which our maps are not; no two may differ."""
+    ways = set(placed.values())
+    if len(ways) > 1:
+        said = ", ".join(f"{name} ({way or 'as it is'})" for name, way in placed.items())
+        raise MapsError("textures that are placed alike", f"{path} with {said}", "bake the placement")
+    return [f"passed over {way} of the textures" for way in ways if way]
 
 
 def _numbers(values: Any) -> tuple[float, ...]:
     return tuple(float(x) for x in values[:3])
 
 
-def _beside(path: Path, uri: str) -> Path:
-    file = files.inside(path.parent, unquote(uri))
+def beside(path: Path, name: str) -> Path:
+    """A texture that a document names, in its folder or below."""
+    file = files.inside(path.parent, name)
     if file is None:
-        raise MapsError("textures beside the file", f"{uri!r} in {path}", "copy them there")
+        raise MapsError("textures beside the file", f"{name!r} in {path}", "copy them there")
     return file
-
-
-def _inline(uri: str) -> bytes:
-    return base64.b64decode(uri.partition(",")[2], validate=True)
 
 
 def _view(document: dict, number: int, path: Path, binary: bytes) -> bytes:
     view = document["bufferViews"][number]
     uri = document["buffers"][view["buffer"]].get("uri")
     if uri is not None:
-        binary = _inline(uri) if uri.startswith("data:") else _beside(path, uri).read_bytes()
+        binary = (base64.b64decode(uri.partition(",")[2], validate=True) if uri.startswith("data:") else
+                  beside(path, unquote(uri)).read_bytes())
     begin = view.get("byteOffset", 0)
     return binary[begin:begin + view["byteLength"]]

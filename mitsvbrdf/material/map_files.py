@@ -12,12 +12,14 @@ from pathlib import Path
 import torch.nn.functional as F
 
 from .. import color
+from ..errors import MapsError
 from ..io import files, images
 from ..io.entry import entry
 from .encoding import ENCODINGS, NormalConvention
 from .gltf_set import gltf_set
-from .map_set import find_maps, read_set
+from .map_set import MapSet, find_maps, read_set
 from .maps import COLOURS, SVBRDF, TITLES, Bsdf
+from .mtlx_set import mtlx_set
 
 DETAIL, FORMER_DETAIL = "detail", "look"
 MAP_FOLDERS = "maps", DETAIL, FORMER_DETAIL  # of a fit: expected values, and a plausible draw
@@ -35,7 +37,8 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
     ``maps/`` inside, or no maps but ``textures/``, stands for that.
 
     Args:
-        folder: the folder, or a .glb or .gltf file of one material.
+        folder: the folder, or a .glb, .gltf or .mtlx file of one material; a .mtlx in a folder is followed
+            before its names.
         bsdf: which set to read where both are there; left out: what material.json says, else ``principled``
             where base_color and metallic are there. A specular level makes that a ``roughconductor``.
         encoding: of files of 8 and 16 bits: ``linear``, ``gamma 2.2`` or ``srgb``, or by map
@@ -51,22 +54,34 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
     Raises:
         MapsError: naming what is missing or wrong.
     """
-    path = Path(folder)
-    with (gltf_set(path, encoding, normal) if _is_gltf(path)
-          else contextlib.nullcontext(find_maps(path, encoding, normal))) as found:
+    with _found(Path(folder), encoding, normal) as found:
         return read_set(found, bsdf).check()
 
 
-def _is_gltf(path: Path) -> bool:
-    return path.suffix.lower() in (".glb", ".gltf") and path.is_file()
+def _found(path: Path, encoding: str | None, normal: NormalConvention | None = None
+           ) -> contextlib.AbstractContextManager[MapSet]:
+    """The set of a document, of that in a folder, or of a folder by its names."""
+    if path.suffix.lower() in (".glb", ".gltf") and path.is_file():
+        return gltf_set(path, encoding, normal)
+    documents = [*path.glob("material.mtlx")] or sorted(path.glob("*.mtlx")) or (
+        [path] if path.suffix.lower() == ".mtlx" and path.is_file() else [])
+    if not documents or (path / "material.json").is_file():
+        return contextlib.nullcontext(find_maps(path, encoding, normal))
+    try:
+        if len(documents) > 1:
+            raise MapsError("one .mtlx", ", ".join(each.name for each in documents), "give one of the files")
+        return contextlib.nullcontext(mtlx_set(documents[0], encoding, normal))
+    except MapsError as error:
+        if path.is_file() or "roughness" not in (found := find_maps(path, encoding, normal)).sources:
+            raise
+        said = f"read by the names of the files, without the document: {error.got}"
+        return contextlib.nullcontext(found._replace(remarks=(said,)))
 
 
 def encodings(folder: str | Path, encoding: str | None = None) -> dict[str, str]:
-    """How the 8- and 16-bit files of a map folder are encoded, by map; see :func:`load_maps`."""
-    if _is_gltf(Path(folder)):
-        return ENCODINGS["srgb"]
-    found = find_maps(Path(folder), encoding)
-    return {name: found.code(name) for name in TITLES if name != "normal"}
+    """How the 8- and 16-bit files of maps are encoded, by map; see :func:`load_maps`."""
+    with _found(Path(folder), encoding) as found:
+        return {name: found.code(name) for name in TITLES if name != "normal"}
 
 
 @entry()

@@ -18,7 +18,7 @@ from .conversion import FULL_LEVEL, as_shown
 from .encoding import ENCODINGS, NormalConvention, asked_codes, read_material_json
 from .maps import CHANNELS, COLOURS, SVBRDF, Bsdf
 from .naming import FIELD, Source, is_of_field, kind_of, sources
-from .normals import unit_normals
+from .normals import OVERRULE, unit_normals
 from .resample import resized
 
 LEAST_ROUGHNESS = 1 / 512  # half a step of 8 bits: what the writer of a roughness of 0 rounded away at most
@@ -26,6 +26,7 @@ RINGING = 0.05  # how far lossy coders of EXR leave [0, 1]
 TINT = 0.05  # mean difference of channels that no grey map has: several maps are packed in it
 LOWEST_F0 = 0.01  # half that of water
 USUAL_SIDE = 64  # texels of a material without a texture
+STRIP = "diffuse", "normal", "roughness", "specular"  # side by side, in MaterialGAN's tex.png
 
 
 class MapSet(NamedTuple):
@@ -38,8 +39,9 @@ class MapSet(NamedTuple):
         habit: the encoding of all others, a key of ENCODINGS.
         bsdf: what ``material.json`` says.
         passed: names of what is not read.
-        strip: the strip that holds all maps.
         taken: the share of light that the highlight takes from the diffuse; None: the F0.
+        remarks: what is said of a document.
+        way: how the user overrules an encoding, which stands in ``{}``.
     """
 
     place: Path
@@ -48,8 +50,9 @@ class MapSet(NamedTuple):
     habit: str = "srgb"
     bsdf: Bsdf | None = None
     passed: tuple[str, ...] = ()
-    strip: Path | None = None
     taken: float | None = None
+    remarks: tuple[str, ...] = ()
+    way: str = OVERRULE
 
     def code(self, name: str) -> str:
         """The encoding of a map's 8- and 16-bit file, or the convention of normals."""
@@ -61,7 +64,7 @@ class MapSet(NamedTuple):
         source = source or self.sources[name]
         if source.path is None:
             return torch.tensor(source.factor).expand(1, 1, channels)
-        value = read_map(source, name, channels, self.code(name))
+        value = read_map(source, name, channels, self.code(name), self.way)
         return value if source.factor == (1.0,) else value * torch.tensor(source.factor)
 
 
@@ -78,17 +81,18 @@ def find_maps(folder: Path, encoding: str | None = None, normal: NormalConventio
         folder = folder / "textures"
         chosen, passed = sources(folder)
     about = read_material_json(folder)
-    strip = folder / "tex.png" if "diffuse" not in chosen and (folder / "tex.png").is_file() else None
-    habit = "gamma 2.2" if strip or is_of_field(chosen) else "srgb"
+    strip = folder / "tex.png"
+    if "diffuse" not in chosen and strip.is_file() and about.get("bsdf") != "principled":
+        chosen, passed = {name: Source(strip, part=k) for k, name in enumerate(STRIP)}, [
+            path for path in passed if path != strip]
+    habit = "gamma 2.2" if is_of_field(chosen) else "srgb"
     return MapSet(folder, chosen, about.get("encoding", {}) | asked, habit, about.get("bsdf"),
-                  tuple(path.name for path in passed if path != strip), strip)
+                  tuple(path.name for path in passed))
 
 
 def read_set(found: MapSet, bsdf: Bsdf | None = None) -> SVBRDF:
     """The material of a set, not checked yet; see :func:`mitsvbrdf.material.map_files.load_maps`."""
     there, asked = dict(found.sources), bsdf or found.bsdf
-    if found.strip and asked != "principled":
-        return _from_strip(found, found.strip)
     colour = there.get("base_color") or there.get("diffuse")
     beside = {"diffuse", "specular", "base_color"} <= set(there)  # both parameter sets
     if _has_lobes(found) or asked == "roughconductor" and beside:
@@ -162,19 +166,25 @@ def _say(found: MapSet, used: Mapping[str, Source], maps: Mapping[str, Tensor]) 
         if "specular" in coded and f0 < LOWEST_F0 < float(linear := color.encode(maps["specular"].median())):
             said.append(f"an F0 of {f0:.2g} is below that of any material, as linear it is {linear:.2g}")
     elif coded or found.place.is_file():
-        said.append("read " + ", ".join(f"{name} {file}" + (f" ({coded[name]})" if name in coded else "")
-                                        for name, file in named.items()))
+        said.append("read " + ", ".join(
+            f"{name} {file}" + f" ({found.code(name)})" * (name != "normal" and not file.endswith(".exr"))
+            for name, file in named.items()))
     if "f0" in used and used["f0"].factor == (FULL_LEVEL,):
         said.append(f"F0 is {FULL_LEVEL:g} times the specular level")
-    if used.get("normal", Source(None)).convention == "dx" and "normal" not in found.stated:
+    normal = used.get("normal", Source(None))
+    if normal.convention == "dx" and "normal" not in found.stated:
         said.append("normals are DirectX's by their name, and turned around")
+    elif found.place.is_file() and normal.path and found.code("normal") == "gl" and (
+            kind_of(normal.path.stem)[-1:] == ("normal dx",)):
+        said.append("normals are OpenGL's as the format has them, whatever their name; --normal dx overrules")
+    said += found.remarks
     missing = [name for name, source in used.items() if source.path is None and not found.place.is_file()]
     said += [f"no {name} map, so it is 0" for name in missing]
     if said and found.passed:
         said.append(f"passed over {', '.join(found.passed)}")
     if said:
-        ways = "; --encoding CODE or NAME=CODE,... (or material.json) overrules" if coded else ""
-        warnings.warn(f"{found.place}: {'; '.join(said)}{ways}", AssumedWarning, stacklevel=2)
+        way = f"; {found.way} overrules".format("CODE or NAME=CODE,...") if coded or found.remarks else ""
+        warnings.warn(f"{found.place}: {'; '.join(said)}{way}", AssumedWarning, stacklevel=2)
 
 
 def read_file(path: Path, name: str, channels: int) -> Tensor:
@@ -185,13 +195,13 @@ def read_file(path: Path, name: str, channels: int) -> Tensor:
     source = Source(path, channel, "glossiness" in kinds and name == "roughness", mark)
     plain = not kinds or path.stem.lower() in FIELD.get(name, ())
     found = MapSet(path.parent, {name: source}, read_material_json(path.parent).get("encoding", {}),
-                   "gamma 2.2" if plain else "srgb")
+                   "gamma 2.2" if plain else "srgb", way="encoding {} in a material.json beside it")
     value = found.read(name, channels)
     _say(found, found.sources, {name: value, "specular": value})
     return value
 
 
-def read_map(source: Source, name: str, channels: int, code: str) -> Tensor:
+def read_map(source: Source, name: str, channels: int, code: str, way: str = OVERRULE) -> Tensor:
     """One map from its file, linear, H x W x ``channels``.
 
     Args:
@@ -206,11 +216,16 @@ def read_map(source: Source, name: str, channels: int, code: str) -> Tensor:
     assert source.path is not None
     path, exr = source.path, source.path.suffix.lower() == ".exr"
     image = images.read_image(path, MapsError, data=name not in COLOURS)
+    if source.part is not None:
+        if image.shape[1] != 4 * (side := image.shape[0]):
+            raise MapsError("a strip of four square maps", f"{path} of {image.shape[1]} x {side}",
+                            f"give {', '.join(STRIP)} side by side")
+        image = image[:, source.part * side:(source.part + 1) * side]
     if not torch.isfinite(image).all():
         raise MapsError("finite values", f"NaN or infinity in {path}", "mend or re-export the map")
     if name == "normal":
-        return unit_normals(image, path, code or source.convention)
-    if image.shape[2] == 2 or source.channel is not None and image.shape[2] != 3:
+        return unit_normals(image, path, code or source.convention, way)
+    if image.shape[2] == 2 or source.channel and image.shape[2] != 3:
         raise MapsError(f"{name} in 1 or 3 channels", f"{path} with {image.shape[2]}", "export it as RGB")
     if source.channel is not None:
         image = image[..., source.channel:source.channel + 1].contiguous()
@@ -243,19 +258,3 @@ def _without_ringing(image: Tensor, path: Path) -> Tensor:
     warnings.warn(f"{path}: {count} of {image.numel()} values are slightly outside of [0, 1] ({low:.3g} to "
                   f"{high:.3g}), as lossy coders leave them; cut", MapsWarning, stacklevel=2)
     return image.clamp(0, 1)
-
-
-def _from_strip(found: MapSet, path: Path) -> SVBRDF:
-    strip = images.read_image(path, MapsError, data=True)
-    side = strip.shape[0]
-    if strip.shape[1] != 4 * side:
-        raise MapsError("a strip of four square maps", f"{path} of {strip.shape[1]} x {side}",
-                        "give diffuse, normal, roughness, specular side by side")
-    names = "diffuse", "normal", "roughness", "specular"
-    maps = dict(zip(names, strip.split(side, dim=1)))
-    for name in ("diffuse", "specular", "roughness"):
-        maps[name] = color.decode(maps[name], found.code(name).replace(" ", ""))  # type: ignore[arg-type]
-    maps["roughness"] = maps["roughness"].mean(dim=2, keepdim=True).clamp_min(LEAST_ROUGHNESS)
-    maps["normal"] = unit_normals(maps["normal"], path, found.code("normal"))
-    _say(found, {name: Source(path) for name in names}, maps)
-    return SVBRDF("roughconductor", maps)

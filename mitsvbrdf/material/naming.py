@@ -4,32 +4,16 @@ from __future__ import annotations
 
 import os
 import re
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import NamedTuple
 
 from ..errors import MapsError
 
-# File name of each map as `export` writes it; NAME stands for the material's. "own" has both parameter sets.
-FILE_NAMES: dict[str, dict[str, str]] = {
-    "own": {"diffuse": "diffuse", "specular": "specular", "base_color": "base_color", "metallic": "metallic",
-            "roughness": "roughness", "normal gl": "normal", "normal dx": "normal_dx",
-            "specular_level": "specular_level", "height": "height", "occlusion": "occlusion",
-            "packed": "occlusion_roughness_metallic"},
-    "polyhaven": {"base_color": "NAME_diff", "metallic": "NAME_metal", "roughness": "NAME_rough",
-                  "normal gl": "NAME_nor_gl", "normal dx": "NAME_nor_dx", "specular_level": "NAME_spec",
-                  "height": "NAME_disp", "occlusion": "NAME_ao", "packed": "NAME_arm"},
-    "ambientcg": {"base_color": "NAME_Color", "metallic": "NAME_Metalness", "roughness": "NAME_Roughness",
-                  "normal gl": "NAME_NormalGL", "normal dx": "NAME_NormalDX",
-                  "specular_level": "NAME_Specular", "height": "NAME_Displacement",
-                  "occlusion": "NAME_AmbientOcclusion"},
-    "substance": {"base_color": "NAME_BaseColor", "metallic": "NAME_Metallic", "roughness": "NAME_Roughness",
-                  "normal gl": "NAME_Normal_OpenGL", "normal dx": "NAME_Normal_DirectX",
-                  "specular_level": "NAME_SpecularLevel", "height": "NAME_Height",
-                  "occlusion": "NAME_AmbientOcclusion", "packed": "NAME_ORM"},
-    "materialgan": {"diffuse": "dif", "specular": "spe", "roughness": "rgh", "normal gl": "nom",
-                    "normal dx": "nom_dx"},
-}
+NAMES = tomllib.loads(Path(__file__).with_name("names.toml").read_text(encoding="utf-8"))
+FILE_NAMES: dict[str, dict[str, str]] = NAMES["files"]  # of each map as `export` writes it
+SURFACES: dict[str, dict[str, tuple[str, float]]] = NAMES["shaders"]  # inputs and their defaults
 
 # The field's names. Their 8-bit files have gamma 2.2 where nothing else is stated.
 FIELD = {"diffuse": ("diffuse", "dif"), "specular": ("specular", "spe"), "roughness": ("roughness", "rgh"),
@@ -37,24 +21,10 @@ FIELD = {"diffuse": ("diffuse", "dif"), "specular": ("specular", "spe"), "roughn
 # Of images, the best first.
 SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".tga", ".bmp", ".hdr")
 
-_WORDS = {
-    "diffuse": "diffuse dif diff diffusecolor",
-    "base_color": "basecolor basecolour albedo alb color colour col basecol basemap",
-    "specular": "specular spec spe spc f0 specularcolor specularcolour",
-    "specular_level": "specularlevel speclevel",
-    "roughness": "roughness rough rgh", "glossiness": "glossiness gloss smoothness",
-    "metallic": "metallic metalness metal metl mtl met",
-    "normal": "normal normals nor nom nrm nrml norm normalmap",
-    "occlusion": "occlusion ambientocclusion ao occ",
-    "height": "height heightmap displacement disp displace dsp bump bumpmap",
-    "other": "opacity alpha mask emissive emission emit transmission translucency translucent thickness "
-             "anisotropy anisotropic anisotropyangle sheen coat clearcoat subsurface scattering sss detail "
-             "cavity curvature position id ior preview thumb thumbnail render sphere opacitymask maskmap",
-}
 _CONVENTIONS = {"gl": ("gl", "opengl", "ogl"), "dx": ("dx", "directx", "d3d")}
-KINDS = {word: kind for kind, words in _WORDS.items() for word in words.split()} | {
+KINDS = {word: kind for kind, words in NAMES["words"].items() for word in words.split()} | {
     join: f"normal {convention}" for convention, marks in _CONVENTIONS.items() for mark in marks
-    for normal in _WORDS["normal"].split() for join in (normal + mark, mark + normal)}
+    for normal in NAMES["words"]["normal"].split() for join in (normal + mark, mark + normal)}
 # Channels of packed maps by the letters of their names. glTF's metallicRoughness has them in G and B.
 _LETTERS = {"o": "occlusion", "a": "occlusion", "r": "roughness", "m": "metallic"}
 PACKED = {word: tuple(_LETTERS[letter] for letter in word)
@@ -72,6 +42,7 @@ class Source(NamedTuple):
         inverted: whether it holds one minus the map, as gloss does.
         convention: of normals, where the name states it: ``gl`` or ``dx``.
         factor: on the linear map, one for all channels or one each.
+        part: which of the squares that lie side by side in the file.
     """
 
     path: Path | None
@@ -79,6 +50,7 @@ class Source(NamedTuple):
     inverted: bool = False
     convention: str = ""
     factor: tuple[float, ...] = (1.0,)
+    part: int | None = None
 
 
 def kind_of(stem: str, dropped: int = 0) -> tuple[str, ...]:
@@ -160,5 +132,6 @@ def _in_common(stems: list[str]) -> int:
 
 def is_of_field(chosen: Mapping[str, Source]) -> bool:
     """Whether the files have the field's plain names: their maps then are diffuse and specular."""
-    plain = {name: source.path.stem.lower() for name, source in chosen.items() if source.path}
+    plain = {name: name if source.part is not None else source.path.stem.lower()
+             for name, source in chosen.items() if source.path}
     return "diffuse" in plain and all(plain[name] in names for name, names in FIELD.items() if name in plain)

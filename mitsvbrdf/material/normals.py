@@ -26,10 +26,11 @@ EMPTY, SLOPPY = 2 / 255, 0.02
 # The curl of slopes is 0 with the right sign of y. DirectX is proven where its sign leaves less than a
 # quarter of the curl's energy and nearly all blocks agree, and possible where it leaves less than two thirds.
 PROVEN, POSSIBLE, AGREED, BLOCKS = 1 / 4, 2 / 3, 0.9, 8
+OVERRULE = "--encoding {} (or material.json)"  # how the user does that
 STEEPEST = 0.05  # smallest z that slopes are computed with
 
 
-def unit_normals(image: Tensor, path: Path, convention: str = "") -> Tensor:
+def unit_normals(image: Tensor, path: Path, convention: str = "", way: str = OVERRULE) -> Tensor:
     """Unit normals, +Y up, H x W x 3, of what a file holds.
 
     Understood are (n + 1) / 2, signed vectors of EXR files, and x and y alone.
@@ -38,6 +39,7 @@ def unit_normals(image: Tensor, path: Path, convention: str = "") -> Tensor:
         image: H x W x C, as the file holds it.
         path: the file.
         convention: ``gl`` or ``dx`` where it is stated; else the curl decides.
+        way: how the user overrules it.
 
     Raises:
         MapsError: no normals.
@@ -47,9 +49,10 @@ def unit_normals(image: Tensor, path: Path, convention: str = "") -> Tensor:
     """
     normal = _lifted(F.normalize(_vectors(image, path), dim=-1), path)
     if not convention and (found := directx_by_curl(normal)) is not False:
-        done = "turned around; --encoding normal=gl" if found else "read as OpenGL's; --encoding normal=dx"
+        done, other = ("turned around", "gl") if found else ("read as OpenGL's", "dx")
         warnings.warn(f"{path}: normals {'are' if found else 'may be'} DirectX's (+Y down), for their slopes "
-                      f"fit together better that way; {done} overrules", MapsWarning, stacklevel=2)
+                      f"fit together better that way; {done}; {way.format(f'normal={other}')} overrules",
+                      MapsWarning, stacklevel=2)
         convention = "dx" if found else "gl"
     return normal * normal.new_tensor([1, -1, 1]) if convention == "dx" else normal
 

@@ -62,3 +62,41 @@ def test_what_cannot_be_read_is_one_error(damage, word, tmp_path):
     path.write_text(json.dumps(document))
     with pytest.raises(MapsError, match=word):
         load_maps(path)
+
+
+def of_base(transform=None, other=None, **material):
+    """A material with a base colour and normals, their textures placed like this."""
+    base, normal = ({"index": k} | ({"extensions": {"KHR_texture_transform": each}} if each else {})
+                    for k, each in ((1, transform), (2, other)))
+    return {"pbrMetallicRoughness": {"baseColorTexture": base}, "normalTexture": normal} | material
+
+
+@pytest.mark.parametrize("material, said", [
+    (of_base({"scale": [2, 2]}, {"scale": [2, 2]}), r"passed over scale \[2, 2\]"),
+    (of_base(alphaMode="MASK", extensions={"KHR_materials_clearcoat": {}}, emissiveTexture={"index": 0}),
+     "passed over KHR_materials_clearcoat; passed over MASK; passed over emissiveTexture"),
+    (of_base({"offset": [0.0, 0.0], "rotation": 0, "scale": [1, 1]}), None),
+    (of_base({"rotation": 1.5}), MapsError), (of_base(None, {"texCoord": 1}), MapsError),
+    (of_base(extensions={"KHR_materials_pbrSpecularGlossiness": {}}), MapsError)])
+def test_what_a_material_does_not_have_is_said(material, said, tmp_path):
+    path = written(tmp_path, **material)
+    Image.fromarray(np.full((8, 8, 3), (128, 128, 255), np.uint8)).save(tmp_path / "n.webp", lossless=True)
+    document = json.loads(path.read_text())
+    document["images"].append({"uri": "n.webp"})
+    document["textures"].append({"extensions": {"EXT_texture_webp": {"source": 2}}})
+    path.write_text(json.dumps(document))
+    if said is MapsError:
+        with pytest.raises(MapsError, match="placed alike|metal/rough"):
+            load_maps(path)
+        return
+    with pytest.warns(AssumedWarning, match=said or "normal n.webp; --enc"):
+        assert load_maps(path)["normal"][0, 0, 2] > 0.999
+
+
+def test_ktx2_alone_is_one_error(tmp_path):
+    path = written(tmp_path, pbrMetallicRoughness={"baseColorTexture": {"index": 0}})
+    document = json.loads(path.read_text())
+    document["textures"][0] = {"extensions": {"KHR_texture_basisu": {"source": 0}}}
+    path.write_text(json.dumps(document))
+    with pytest.raises(MapsError, match="base_color.*KHR_texture_basisu; export it without KTX2"):
+        load_maps(path)

@@ -184,7 +184,7 @@ def test_other_maps_in_the_place_of_roughness_and_normals_are_refused(files, wor
 def test_a_fixed_map_has_the_habit_of_its_name(tmp_path):
     folder = written(tmp_path, brick_rough=128, roughness=128)
     for file, wanted in {"brick_rough": 128 / 255, "roughness": (128 / 255) ** 2.2}.items():
-        with pytest.warns(AssumedWarning):
+        with pytest.warns(AssumedWarning, match="encoding .* in a material.json beside it overrules"):
             fixed = fixed_maps([f"roughness={folder / file}.png"], "roughconductor", 8)
         assert fixed["roughness"][0, 0, 0] == pytest.approx(wanted)
 
