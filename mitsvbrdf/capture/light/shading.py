@@ -35,9 +35,10 @@ from .solve import Shading, solve_light
 # albedo of white office paper; 0.75 to 0.9, ISO 2470 brightness without optical brighteners
 PAPER_ALBEDO = 0.8
 MOST_ALBEDO = 0.8
-# natural logarithm of a colour beside the median photo's, from which on its white balance is another;
-# points that a photo must show for it
-TINTED, LEAST_COLOURED = 0.03, 20
+# natural logarithm of a colour beside the median photo's, from which on its white balance is another; of a
+# material, whose highlights have colours of their own, standard deviations over texels, too: 18 real ones have
+# 2.0 at most; points that a photo must show for it
+TINTED, SURELY, LEAST_COLOURED = 0.03, 3.0, 20
 # usual one, and sd of its logarithm; dielectrics have 0.04, but one lobe for all finds less: 0.005 to 0.06
 LOBE_F0 = 0.03, 0.6
 
@@ -72,19 +73,20 @@ def shading_of_paper(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color
 
 def tint_of(samples: Samples) -> dict[str, Array]:
     """White balance of photos, as factors of rgb, in which it is not that of most photos, by name."""
-    own, usual = _colours(samples)
+    own, usual, spread = _colours(samples)
     return {name: np.exp(colour - usual) for name, colour in own.items()
-            if np.abs(colour - usual).max() > TINTED}
+            if (np.abs(colour - usual) > np.maximum(TINTED, SURELY * spread[name])).any()}
 
 
-def _colours(samples: Samples, without: Collection[str] = ()) -> tuple[dict[str, Array], Array]:
+def _colours(samples: Samples,
+             without: Collection[str] = ()) -> tuple[dict[str, Array], Array, dict[str, Array]]:
     """Logarithms of rgb over their mean in each photo beside what others show of its texels, and the usual.
 
-    The usual colour is the median over photos.
+    The usual colour is the median over photos. Last, standard deviations over a photo's texels; 0 on paper.
     """
     count = samples.texel.max() + 1
     one = count == 1  # paper, which is the same everywhere
-    own, base = {}, np.zeros((count, 3))
+    own, spread, base = {}, {}, np.zeros((count, 3))
     if not one:
         order = np.argsort(samples.texel, kind="stable")
         ends = np.searchsorted(samples.texel[order], np.arange(1, count))
@@ -93,9 +95,11 @@ def _colours(samples: Samples, without: Collection[str] = ()) -> tuple[dict[str,
     for number, name in enumerate(samples.names):
         at = samples.photo == number
         if at.sum() >= LEAST_COLOURED:
-            own[name] = np.median(samples.colour[at] - base[samples.texel[at]], axis=0)
+            colours = samples.colour[at] - base[samples.texel[at]]
+            own[name] = np.median(colours, axis=0)
+            spread[name] = (not one) * 1.4826 * np.median(np.abs(colours - own[name]), axis=0)
     kept = [colour for name, colour in own.items() if name not in without]
-    return own, np.median(kept, axis=0) if kept else np.zeros(3)
+    return own, np.median(kept, axis=0) if kept else np.zeros(3), spread
 
 
 def _said(tint: Mapping[str, Array], where: str, done: str) -> str:
