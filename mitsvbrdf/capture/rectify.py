@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
+from ..errors import InputWarning
 from .capture import LEAST_SIDE
 from .lens import Lens, Pose, project
 from .photo import Photo, reduced
 from .rig import Rig
 
+MOST_FILLED = 0.05  # of a photo, without a word; of one that is rectified here never more
 LONG_SIDE = 1024  # pixels, of a whole photo that is kept
 CORNERS = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])  # of the patch
 
@@ -109,7 +112,11 @@ def filled(pictures: Sequence[np.ndarray]) -> torch.Tensor:
     if not known.all():
         mean = np.where(known, stack, 0).sum(axis=0) / known.sum(axis=0).clip(1)
         stack = np.where(known, stack, mean)
-        unseen = ~known.any(axis=(0, 3))
+        unseen, most = ~known.any(axis=(0, 3)), 1 - known.mean(axis=(1, 2, 3)).min()
+        if most > MOST_FILLED or unseen.any():
+            warnings.warn(f"up to {most:.1%} of a photo is masked, {unseen.mean():.1%} of the patch in all; "
+                          "what is made up there is not measured, and maps suffer elsewhere, too; omit such "
+                          "photos, or crop all", InputWarning, stacklevel=2)
         if unseen.any() and not unseen.all():
             from scipy.ndimage import distance_transform_edt
 

@@ -26,7 +26,6 @@ ADOBE_RGB = 0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.3290
 REC601 = 0.63, 0.34, 0.31, 0.595, 0.155, 0.07, 0.3127, 0.3290
 PRIMARIES = {  # code points of H.273
     1: ("Rec. 709", REC709),
-    4: ("Rec. 470 M", (0.67, 0.33, 0.21, 0.71, 0.14, 0.08, 0.310, 0.316)),
     5: ("Rec. 601, 625 lines", (0.64, 0.33, 0.29, 0.60, 0.15, 0.06, 0.3127, 0.3290)),
     6: ("Rec. 601, 525 lines", REC601),
     7: ("Rec. 601, 525 lines", REC601),
@@ -50,9 +49,6 @@ class Profile(NamedTuple):
     icc: bytes = b""
     grey: bool = False
     reason: str = ""
-
-
-UNCALIBRATED = Profile('the color space "uncalibrated" of EXIF', reason="no profile says which it is")
 
 
 def profile_of(image: Image, path: Path) -> Profile | None:
@@ -226,4 +222,5 @@ def _of_exif(image: Image) -> Profile | None:
         return None
     if space == 2 or rules.startswith("R03"):
         return _made("Adobe RGB", ADOBE_RGB, 2.19921875)
-    return UNCALIBRATED if space == 65535 and not rules else None
+    unknown = Profile('the color space "uncalibrated" of EXIF', reason="no profile says which it is")
+    return unknown if space == 65535 and not rules else None

@@ -1,7 +1,4 @@
-"""Pictures in files to pixels: by content, header first, within a limit, and damage by the file's name.
-
-Colours other than those of sRGB are converted here; see :mod:`~mitsvbrdf.io.colour_profile`.
-"""
+"""Pictures in files to pixels: by content, header first, within a limit, and damage by the file's name."""
 
 from __future__ import annotations
 
@@ -156,10 +153,7 @@ def check_size(path: Path, size: tuple[int, int], error: type[MitsvbrdfError]) -
 
 @contextlib.contextmanager
 def opened(path: Path, kind: str) -> Iterator[Image]:
-    """A file of this kind in Pillow, and of no other: Pillow hands PostScript of any name to Ghostscript.
-
-    It is without Pillow's own limit of pixels: photos of phones have up to 200 million.
-    """
+    """A file of this kind in Pillow, and of no other: Pillow hands PostScript of any name to Ghostscript."""
     from PIL import Image
 
     most, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
@@ -243,9 +237,8 @@ def _by_pillow(path: Path, about: Header) -> np.ndarray:
         if (bits := image.info.get("bit_depth", 8)) == 8:
             pixels = np.asarray(image.convert("RGBA" if masked else "RGB"))
     if bits > 8:  # of HEIC; Pillow has no colours of more than 8
-        import pillow_heif
-
-        stored = pillow_heif.open_heif(path, convert_hdr_to_8bit=False, hdr_to_16bit=False)
+        heif = importlib.import_module("pillow_heif")
+        stored = heif.open_heif(path, convert_hdr_to_8bit=False, hdr_to_16bit=False)
         pixels = (_coloured(np.asarray(stored), masked) * (65535 / (2**bits - 1))).round().astype(np.uint16)
     return np.rot90(pixels, UNTURNED.get(about.orientation, 0)) if about.kind == "HEIF" else pixels
 

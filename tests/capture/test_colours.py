@@ -60,13 +60,18 @@ def test_a_profile_that_cannot_be_used_is_told_once(tmp_path):
     assert len(told) == 1 and not capture.colours
 
 
-@pytest.mark.parametrize("masked", [[0], [0, 1, 2]])
-def test_masked_pixels_are_filled_in(tmp_path, masked):
+@pytest.mark.parametrize("rows, masked, told", [
+    (3, [0], "up to 18.8% of a photo is masked, 0.0% of the patch"),
+    (3, [0, 1, 2], "up to 18.8% of a photo is masked, 18.8% of the patch"),
+    (1, [0, 1, 2], "up to 6.2% .* 6.2% of the patch")])
+def test_masked_pixels_are_filled_in_and_told(tmp_path, rows, masked, told):
     json_capture(tmp_path, np.full((3, 16, 16, 3), 100, np.uint8))
     for number, path in enumerate(sorted(tmp_path.rglob("0*.png"))):
         pixels = np.full((16, 16, 4), (100, 100, 100, 255), np.uint8)
         if number in masked:
-            pixels[:3] = 0
+            pixels[:rows] = 0
         cv2.imwrite(str(path), pixels)
-    assert read_capture(tmp_path).photos.numpy() == pytest.approx(100 / 255)
-    assert read_capture(tmp_path, resolution=8).photos.numpy() == pytest.approx(100 / 255)
+    for resolution in (None, 8):
+        with pytest.warns(InputWarning, match=told if resolution is None else "not measured"):
+            capture = read_capture(tmp_path, resolution=resolution)
+        assert capture.photos.numpy() == pytest.approx(100 / 255)

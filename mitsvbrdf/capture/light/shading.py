@@ -36,8 +36,7 @@ from .solve import Shading, solve_light
 PAPER_ALBEDO = 0.8
 MOST_ALBEDO = 0.8
 # natural logarithm of a colour beside the median photo's, from which on its white balance is another; of a
-# material, whose highlights have colours of their own, standard deviations over texels, too: 18 real ones have
-# 2.0 at most; points that a photo must show for it
+# material deviations over texels, too (18 real ones: up to 2.0); points that a photo must show for it
 TINTED, SURELY, LEAST_COLOURED = 0.03, 3.0, 20
 # usual one, and sd of its logarithm; dielectrics have 0.04, but one lobe for all finds less: 0.005 to 0.06
 LOBE_F0 = 0.03, 0.6
@@ -78,8 +77,7 @@ def tint_of(samples: Samples) -> dict[str, Array]:
             if (np.abs(colour - usual) > np.maximum(TINTED, SURELY * spread[name])).any()}
 
 
-def _colours(samples: Samples,
-             without: Collection[str] = ()) -> tuple[dict[str, Array], Array, dict[str, Array]]:
+def _colours(samples: Samples, without: Collection[str] = ()) -> tuple[dict, Array, dict]:
     """Logarithms of rgb over their mean in each photo beside what others show of its texels, and the usual.
 
     The usual colour is the median over photos. Last, standard deviations over a photo's texels; 0 on paper.

@@ -46,7 +46,7 @@ def _reason(photo: PhotoQuality, qualities: Sequence[PhotoQuality], side: int,
     if fired.get(photo.name) == "off" and any(fired.get(each.name) == "fired" for each in qualities):
         return "taken without flash (says its EXIF)", False
     if photo.overlap < LEAST_OVERLAP:
-        return f"partly outside: it shows only {photo.overlap:.0%} of the patch", True
+        return f"partly outside or masked: it shows only {photo.overlap:.0%} of the patch", True
     if photo.clipped > MOST_CLIPPED:
         return f"overexposed: {photo.clipped:.0%} of the patch is clipped", False
     if photo.unlike > UNLIKE or photo.unlike_detail > UNLIKE_DETAIL:

@@ -146,7 +146,7 @@ def test_overexposed(shots):
 
 def test_half_outside(shots):
     reasons, _ = judged(shots, shots.photos, overlap={"6.jpg": 0.5, "7.jpg": 0.97})
-    assert reasons == {"6.jpg": "partly outside: it shows only 50% of the patch"}
+    assert reasons == {"6.jpg": "partly outside or masked: it shows only 50% of the patch"}
 
 
 def test_duplicate(shots):
