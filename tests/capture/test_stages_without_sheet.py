@@ -90,3 +90,13 @@ def test_photos_that_show_everything_in_the_same_place_are_taken_for_rectified(t
         assert np.abs(square - photo[:, 50:350]).max() < 0.6 / 255
     with pytest.raises(OnePlace, match="from a tripod, or rectified"):
         make_capture([Photo.open(path) for path in photos_in(tmp_path)])
+
+
+def test_a_mirrored_photo_is_named(plain, tmp_path):
+    for path in photos_in(plain):
+        image = Image.open(path)
+        flip = path.name == "IMG_2.jpg"
+        (image.transpose(Image.Transpose.FLIP_LEFT_RIGHT) if flip else image).save(
+            tmp_path / path.name, quality=95, exif=image.getexif())
+    made = make_capture([Photo.open(path) for path in photos_in(tmp_path)], resolution=64)
+    assert list(made.rig.rejected) == ["IMG_2.jpg"] and "mirrored beside " in made.rig.rejected["IMG_2.jpg"]

@@ -42,13 +42,13 @@ class Features:
         return len(self.points)
 
 
-def find_features(photo: Photo) -> Features:
-    """Features of a photo, from its mean over colours."""
+def find_features(photo: Photo, mirror: bool = False) -> Features:
+    """Features of a photo, or of its mirror image, from its mean over colours."""
     import cv2
 
     pixels = photo.pixels(FEATURE_SIDE)
     grey = pixels.astype(np.float32).mean(axis=2) * (255 / np.iinfo(pixels.dtype).max)
-    image = np.rint(grey).astype(np.uint8)
+    image = np.rint(grey[:, ::-1] if mirror else grey).astype(np.uint8)
     # else off by 0.25 pixels
     sift = cv2.SIFT_create(MOST_FEATURES, contrastThreshold=CONTRAST, enable_precise_upscale=True)
     found, descriptors = sift.detectAndCompute(image, None)

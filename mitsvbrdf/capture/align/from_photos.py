@@ -75,7 +75,13 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
     size = photos[0].size
     pairs = find_pairs(features, size, lambda share: report("features in common", 0.4 + 0.3 * share))
     hub, warps = chained_pairs(features, pairs)
-    rejected |= {name: apart(name, pairs) for name in features if name not in warps}
+    for name in [name for name in features if name not in warps]:
+        mirrored = find_features(by_name[name], mirror=True)
+        if count := find_pairs({hub: features[hub], name: mirrored}, size, lambda share: None)[0].count:
+            rejected[name] = (f"mirrored beside {hub}, as {count} features of its mirror image tell; "
+                              "give the file as the phone wrote it")
+        else:
+            rejected[name] = apart(name, pairs)
     check_enough(warps, rejected, *NEEDED)
 
     report("poses", 0.7)
