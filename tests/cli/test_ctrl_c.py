@@ -55,7 +55,7 @@ def pressed(name, folder, seconds, last=None):
     process = subprocess.Popen(["bash", "-c", f'exec "$@" 9>&{begins}', "bash", sys.executable, "-c", START,
                                 *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                                cwd=folder, pass_fds=(begins,), start_new_session=True, env=os.environ
-                               | {"PYTHONPATH": str(ROOT)})
+                               | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"})
     os.close(begins)
     os.read(begun, 1)
     os.close(begun)
