@@ -42,7 +42,8 @@ def gltf_set(path: Path, encoding: str | None, normal: NormalConvention | None) 
                 raise MapsError("a glTF file of one material", f"{path} with {len(materials)} ({names})",
                                 "export the material that is meant alone")
             found = _found(path, document, materials[0], binary, Path(spare))
-        except (OSError, ValueError, KeyError, IndexError, TypeError, AttributeError, struct.error) as reason:
+        except (OSError, ValueError, LookupError, ArithmeticError, TypeError, AttributeError,
+                struct.error) as reason:
             raise MapsError("a whole glTF 2.0 file", f"{path}: {type(reason).__name__} {error_text(reason)}",
                             "export it again") from None
         yield found._replace(stated=dict(found.stated) | asked)

@@ -31,7 +31,7 @@ def mtlx_set(path: Path, encoding: str | None, normal: NormalConvention | None) 
         if path.stat().st_size > LARGEST or b"<!DOCTYPE" in path.read_bytes().replace(b"\0", b"").upper():
             raise ValueError(f"a DOCTYPE, or more than {LARGEST >> 20} MiB")
         found = _Document(path).material()
-    except (OSError, ValueError, LookupError, RecursionError, ET.ParseError) as reason:
+    except (OSError, ValueError, LookupError, ArithmeticError, RecursionError, ET.ParseError) as reason:
         raise MapsError("a MaterialX document of one material, of image files and numbers", f"{path}: "
                         f"{error_text(reason)}", "bake it to image files, or give their folder") from None
     return found._replace(stated=dict(found.stated) | asked)

@@ -16,6 +16,7 @@ from mitsvbrdf.batch.asked import take_stock
 from mitsvbrdf.batch.library import Library
 from mitsvbrdf.batch.results import ResultStore
 from mitsvbrdf.capture import read_capture, write_capture
+from mitsvbrdf.export import export_material
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 
@@ -37,6 +38,7 @@ def make(folder: Path) -> None:
         (folder / "exr" / path.name).parent.mkdir(exist_ok=True)
         path.rename(folder / "exr" / path.name)
     cv2.imwrite(str(folder / "exr/light.hdr"), np.ones((8, 16, 3), np.float32))
+    _documents(folder / "documents")
     _library(folder)
 
 
@@ -87,6 +89,17 @@ def _list(folder: Path) -> None:
     (folder / "list").mkdir()
     (folder / "list/list.txt").write_text("# two\n../capture --iterations 1\n'../jpeg' --tag wood\n../text "
                                           "# the third\n")
+
+
+def _documents(folder: Path) -> None:
+    """A material as MaterialX, as GLB, and as glTF with a file of its binary chunk."""
+    export_material(make_material("tiles", 16), folder, ["gltf", "materialx"])
+    content = (folder / "gltf/material.glb").read_bytes()
+    size = int.from_bytes(content[12:16], "little")
+    about = json.loads(content[20:20 + size])
+    about["buffers"][0]["uri"] = "m.bin"
+    (folder / "gltf/m.gltf").write_text(json.dumps(about))
+    (folder / "gltf/m.bin").write_bytes(content[28 + size:])
 
 
 def _library(folder: Path) -> None:

@@ -111,6 +111,23 @@ def maps() -> Drawn[Case]:
                  EXPLAINED.format("capture") + " --fix normal=../in/maps/normal.png")
 
 
+def documents() -> Drawn[Case]:
+    """Materials in one document: glTF's, MaterialX's."""
+    gltf, mtlx = "in/documents/gltf/m.gltf", "in/documents/materialx/material.mtlx"
+    xml = st.sampled_from(("", "</input>", '<!DOCTYPE a [<!ENTITY b "c">]>', '<dot name="base_color_image"/>',
+                           '<input name="file" type="filename" value="../../../outside/secret.txt" />',
+                           '<input name="in" nodename="normal_map" />', '<input name="base" value="nan" />',
+                           '<input name="specular_IOR" type="float" value="-1" />',
+                           '<input name="base_color" type="color3" value="9, x" colorspace="acescg" />'))
+    ways = st.one_of(stated(gltf), spoiled("in/documents/gltf"), change("line", path=mtlx, nth=whole, text=xml),
+                     spoiled(mtlx), replaced(gltf, mtlx, "in/documents/materialx/textures"),
+                     change("put", path=mtlx, text=st.sampled_from(TEXTS)),
+                     change("put", path=mtlx, text="<a>", again=100_000))
+    return cases("document", "documents", ways, *(
+        f"render ../in/documents/{path} -o out --renderer analytic" for path in (
+            "gltf/m.gltf", "gltf/material.glb", "materialx", "materialx/material.mtlx")))
+
+
 def checkpoints() -> Drawn[Case]:
     """What a fit goes on from."""
     def of(fit: str, again: str) -> Drawn[Case]:
@@ -268,6 +285,7 @@ def options(known: dict[str, tuple[str, ...]]) -> Drawn[Case]:
 
 GROUPS: dict[str, tuple[int, Callable[..., Drawn[Case]]]] = {
     "capture": (500, captures), "text": (250, texts), "photos": (500, photos), "maps": (350, maps),
+    "document": (250, documents),
     "checkpoint": (250, checkpoints), "fit": (400, fits), "folder": (300, folders),
     "relight": (120, relights),
     "library": (300, libraries), "list": (200, lists), "bench": (150, records), "option": (700, options)}

@@ -54,7 +54,8 @@ def test_factors_files_and_sizes(tmp_path):
     (lambda d: d["materials"].append({"name": "pawn"}), "with 2 .*pawn"),
     (lambda d: d["images"][0].update(uri="../x.png"), "beside the file"),
     (lambda d: d["textures"].clear(), "glTF 2.0 file"),
-    (lambda d: d["images"][0].update(uri="no.png"), "no file")])
+    (lambda d: d["images"][0].update(uri="no.png"), "no file"),
+    (lambda d: d["materials"][0].update(extensions={"KHR_materials_ior": {"ior": -1}}), "zero")])
 def test_what_cannot_be_read_is_one_error(damage, word, tmp_path):
     path = written(tmp_path, pbrMetallicRoughness={"metallicRoughnessTexture": {"index": 0}})
     document = json.loads(path.read_text())

@@ -154,7 +154,7 @@ PRODUCT = ('<multiply name="x" type="color3"><input name="in1" nodename="c"/>'
     (wired("normal", "nm"), NORMAL.format(valued("scale", 0.5)), "normalmap 'nm' with a scale"),
     (wired("base_color", "c"), image("c").replace("tex/", "../"), "beside the file"),
     (wired("base_color", "c"), image("c").replace("tex/c", "tex/d"), "no file at"),
-    (valued("specular_IOR", "x"), "", "float"),
+    (valued("specular_IOR", "x"), "", "float"), (valued("specular_IOR", -1), "", "zero"),
     ("", '<surfacematerial name="N"><input name="surfaceshader" nodename="S"/></surfacematerial>',
      "2 materials")])
 def test_what_cannot_be_read_is_one_error(inputs, nodes, word, tmp_path):
