@@ -119,8 +119,8 @@ def documents() -> Drawn[Case]:
                            '<input name="in" nodename="normal_map" />', '<input name="base" value="nan" />',
                            '<input name="specular_IOR" type="float" value="-1" />',
                            '<input name="base_color" type="color3" value="9, x" colorspace="acescg" />'))
-    ways = st.one_of(stated(gltf), spoiled("in/documents/gltf"), change("line", path=mtlx, nth=whole, text=xml),
-                     spoiled(mtlx), replaced(gltf, mtlx, "in/documents/materialx/textures"),
+    ways = st.one_of(stated(gltf), spoiled("in/documents/gltf"), spoiled(mtlx),
+                     change("line", path=mtlx, nth=whole, text=xml), replaced(gltf, mtlx, "in/documents/materialx/textures"),
                      change("put", path=mtlx, text=st.sampled_from(TEXTS)),
                      change("put", path=mtlx, text="<a>", again=100_000))
     return cases("document", "documents", ways, *(
