@@ -120,7 +120,8 @@ def documents() -> Drawn[Case]:
                            '<input name="specular_IOR" type="float" value="-1" />',
                            '<input name="base_color" type="color3" value="9, x" colorspace="acescg" />'))
     ways = st.one_of(stated(gltf), spoiled("in/documents/gltf"), spoiled(mtlx),
-                     change("line", path=mtlx, nth=whole, text=xml), replaced(gltf, mtlx, "in/documents/materialx/textures"),
+                     change("line", path=mtlx, nth=whole, text=xml),
+                     replaced(gltf, mtlx, "in/documents/materialx/textures"),
                      change("put", path=mtlx, text=st.sampled_from(TEXTS)),
                      change("put", path=mtlx, text="<a>", again=100_000))
     return cases("document", "documents", ways, *(
