@@ -54,3 +54,9 @@ LINES = (
 # Sides of pictures, in pixels.
 SIZES = ((0, 0), (1, 1), (7, 7), (16, 17), (65535, 65535), (2**31 - 1, 2**31 - 1), (15000, 15000),
          (40000, 40000), (1, 10**6), (10**6, 1), (2**32 - 1, 1), (12000, 12000))
+# Lines of MaterialX.
+XML = ("", "</input>", '<!DOCTYPE a [<!ENTITY b "c">]>', '<dot name="base_color_image"/>',
+       '<input name="file" type="filename" value="../../../outside/secret.txt" />',
+       '<input name="in" nodename="normal_map" />', '<input name="base" value="nan" />',
+       '<input name="specular_IOR" type="float" value="-1" />',
+       '<input name="base_color" type="color3" value="9, x" colorspace="acescg" />')
