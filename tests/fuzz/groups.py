@@ -281,10 +281,9 @@ def options(known: dict[str, tuple[str, ...]]) -> Drawn[Case]:
 
 GROUPS: dict[str, tuple[int, Callable[..., Drawn[Case]]]] = {
     "capture": (500, captures), "text": (250, texts), "photos": (500, photos), "maps": (350, maps),
-    "document": (250, documents),
-    "checkpoint": (250, checkpoints), "fit": (400, fits), "folder": (300, folders),
-    "relight": (120, relights),
-    "library": (300, libraries), "list": (200, lists), "bench": (150, records), "option": (700, options)}
+    "checkpoint": (250, checkpoints), "fit": (400, fits), "folder": (300, folders), "relight": (120, relights),
+    "document": (250, documents), "library": (300, libraries), "list": (200, lists), "bench": (150, records),
+    "option": (700, options)}
 
 
 def drawn(strategy: Drawn[Case], count: int, number: int = 0) -> list[Case]:
