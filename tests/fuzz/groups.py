@@ -281,8 +281,8 @@ def options(known: dict[str, tuple[str, ...]]) -> Drawn[Case]:
 GROUPS: dict[str, tuple[int, Callable[..., Drawn[Case]]]] = {
     "capture": (500, captures), "text": (250, texts), "photos": (500, photos), "maps": (350, maps),
     "checkpoint": (250, checkpoints), "fit": (400, fits), "folder": (300, folders), "list": (200, lists),
-    "library": (300, libraries), "document": (250, documents), "bench": (150, records), "relight": (120, relights),
-    "option": (700, options)}
+    "library": (300, libraries), "document": (250, documents), "bench": (150, records),
+    "relight": (120, relights), "option": (700, options)}
 
 
 def drawn(strategy: Drawn[Case], count: int, number: int = 0) -> list[Case]:
