@@ -32,7 +32,7 @@ class Rig:
         size: side of the patch, in ``unit``.
         unit: of all lengths: ``cm`` where a sheet of known size was seen, else ``patch sides`` (``size`` is
             1).
-        source: what the poses come from.
+        source: of the poses; ``none``: photos rectified to their sheet, of which only the patch is known.
         errors: RMS reprojection error in pixels of the photo, by name.
         rejected: reason, by name of each photo that is not used.
         deviations: standard deviation of a camera's position in ``unit``, by name, where it is known.
@@ -44,7 +44,7 @@ class Rig:
     poses: dict[str, Pose]
     size: float
     unit: Literal["cm", "patch sides"]
-    source: Literal["sheet", "photos"]
+    source: Literal["sheet", "photos", "none"]
     errors: dict[str, float] = field(default_factory=dict)
     rejected: dict[str, str] = field(default_factory=dict)
     deviations: dict[str, float] = field(default_factory=dict)

@@ -104,7 +104,7 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
 
     Raises:
         CaptureError: fewer than three photos can be used, with the reasons.
-        OnePlace: without a sheet, all photos are from one place.
+        OnePlace: all photos are from one place, and not rectified to a sheet.
         ConfigError: options out of range.
     """
     if not LEAST_SIDE <= resolution <= MOST_SIDE:
@@ -153,7 +153,8 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
                       colours=colours)
     return CaptureResult(capture, tuple(photos), replace(lit.rig, rejected=rejected), lit.shading, qualities,
                          coverage_angle(lit.views, COVERAGE_SIDE),
-                         next_best_view(lit.views, list(lit.rig.poses), rig.unit),
+                         next_best_view(lit.views, list(lit.rig.poses), rig.unit) if capture.calibrated
+                         else None,
                          (*notes, *notes_of(colours), *rig.notes, *rectified.notes, *lit.notes))
 
 

@@ -95,6 +95,8 @@ def _print(result: CaptureResult) -> None:
     print_rich(table, markup=False)
     for warning in result.warnings:
         say(f"note: {warning}")
+    if not result.capture.calibrated:
+        return
     say(f"{result.covered:.0%} of the patch has a highlight, within {math.degrees(HIGHLIGHT_ANGLE):.0f} "
         "degrees, in some photo"
         + (f"; one more photo would show most {result.next_view.words}" if result.next_view else ""))

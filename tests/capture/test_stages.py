@@ -21,6 +21,8 @@ from mitsvbrdf.capture import read_capture
 from mitsvbrdf.capture.align.from_sheet import refuse_tags
 from mitsvbrdf.capture.lens import Pose, project
 from mitsvbrdf.capture.photo import Photo, photos_in
+from mitsvbrdf.capture.rectify import rectified
+from mitsvbrdf.capture.rig import OnePlace
 from mitsvbrdf.capture.stages import make_capture
 from mitsvbrdf.errors import CaptureError, ConfigError
 
@@ -174,6 +176,33 @@ def test_options_out_of_range(made):
                   *({"sheet_cm": 18.0, "depth_cm": depth} for depth in (math.nan, math.inf, 18.0, -1000.0))):
         with pytest.raises(ConfigError):
             make_capture(photos, **wrong)
+
+
+def test_of_photos_rectified_to_their_sheet_the_patch_is_cut_out(truth, tmp_path, capsys):
+    """The frame of tags fills them: their middle 512 of 800 pixels are the patch."""
+    raw, out = tmp_path / "raw", tmp_path / "out"
+    raw.mkdir()
+    cut = []
+    for name in ("IMG_0.jpg", "IMG_1.jpg", "IMG_2.jpg", "IMG_4.jpg"):
+        photo = taken(ground(), LENS, truth[name])
+        stored(raw / name, rectified(photo.clip(0, 1).astype(np.float32), LENS, truth[name], 18.0, 800))
+        shown = np.asarray(Image.open(raw / name), np.float32)[144:656, 144:656] / 255
+        cut.append(cv2.resize(shown, (256, 256), interpolation=cv2.INTER_AREA))
+    assert cli.main(["capture", str(raw), "-o", str(out), "--sheet", "18", "--resolution", "256"]) == 0
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "rectified to their sheet already" in printed and "has a highlight" not in printed
+    assert "Where cameras stood" not in (out / "quality.html").read_text()
+    capture = read_capture(out)
+    assert (capture.calibration, capture.resolution) == ("none", 256)
+    assert capture.views.size == pytest.approx(0.64 * 18)
+    for photo, expected in zip(capture.photos.numpy(), cut, strict=True):
+        assert np.abs(photo - expected).mean() < 0.01  # measured 0.002; a pixel aside 0.021
+        assert np.abs(photo[:, 1:] - expected[:, :-1]).mean() > 0.01
+    still = [raw / f"still{i}.jpg" for i in range(3)]
+    for path in still:
+        stored(path, taken(ground(), LENS, truth["IMG_1.jpg"]))
+    with pytest.raises(OnePlace, match="tripod"):
+        make_capture([Photo.open(path) for path in still], 18.0)
 
 
 def test_too_few_are_left(made):

@@ -30,7 +30,7 @@ FOCAL_SHARE, FOCAL_SHARE_UNKNOWN, CENTRE_SD, DISTORTION_SD = 0.05, 0.4, 0.005, 0
 NOISE = 2e-5  # of the long side: what points on edges are off by in good photos, 0.08 pixels of 4000
 # errors of a photo that are too large: as a share of the long side, and beside the others
 LARGE, TIMES_MEDIAN = 5e-4, 6.0
-STILL = 0.1  # of a tag's side: how far tags move from photo to photo, below which the camera stood still
+STILL, SLANTED = 0.1, 0.05  # of a tag's side, that tags move; sine of a tilt: rectified is below both
 UNSURE = 0.01  # deviation of the focal length, as a share, that is worth a note
 
 LENS = Layout(log_focal=(), centre=(2,), distortion=(2,))  # its unknowns: what is added to the start
@@ -40,7 +40,7 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
                    report: Callable[[str, float], object] = lambda text, share: None) -> Rig:
     """Lens and poses in cm from photos of the sheet; the patch is its middle 0.64, in z = 0.
 
-    One photo at a time is in memory.
+    Of photos rectified to the sheet its source is ``none``. One photo at a time is in memory.
 
     Args:
         photos: of one lens and size, in any orientation.
@@ -54,7 +54,7 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
 
     Raises:
         CaptureError: fewer than three photos show the sheet.
-        OnePlace: all photos show it in the same place.
+        OnePlace: all photos show it in the same place, slanted.
     """
     sheet, seen, rejected, tags = Sheet(size_cm), dict[str, Edges](), dict[str, str](), dict[str, int]()
     for i, photo in enumerate(photos):
@@ -67,7 +67,8 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
             seen[photo.name] = edges
     stated = [photo.exif["35 mm focal length"] for photo in photos
               if photo.name in seen and "35 mm focal length" in photo.exif]
-    _check_moved(seen)
+    still = _still(seen)
+    depth_cm *= not still  # what is rectified shows all in the plane of the sheet
     size = photos[0].size
     start = expected_lens(size, stated), FOCAL_SHARE if stated else FOCAL_SHARE_UNKNOWN
     while True:
@@ -82,8 +83,10 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
         rejected[worst] = (f"its tags are {errors[worst]:.1f} pixels beside where a flat sheet would have "
                            "them: bent, moved, or seen by another lens")
         del seen[worst]
+    if still and max(np.linalg.norm(pose.rotation[2, :2]) for pose in poses.values()) > SLANTED:
+        raise one_place(len(seen))
     usual = float(np.median(list(errors.values())))
-    notes = [unsure_note(focal)] if focal > UNSURE else []
+    notes = [unsure_note(focal)] if focal > UNSURE and not still else []
     if usual > LARGE * max(size):
         notes.append(f"the tags of all photos are some {usual:.1f} pixels beside where those of a flat "
                      "sheet would be, and all views as uncertain as that: flatten the sheet, and take all "
@@ -91,8 +94,8 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
     if trimmed := [name for name, edges in seen.items() if edges.trimmed]:
         notes.append(f"no white around the tags in {', '.join(trimmed)}: they were measured inside; keep the "
                      "white rim of the sheet")
-    return Rig(lens, poses, sheet.patch, "cm", "sheet", errors, rejected, deviations, tuple(notes),
-               tags)
+    return Rig(lens, poses, sheet.patch, "cm", "none" if still else "sheet", errors, rejected, deviations,
+               tuple(notes), tags)
 
 
 def refuse_tags(photos: Sequence[Photo],
@@ -110,15 +113,14 @@ def refuse_tags(photos: Sequence[Photo],
                            f"measure the frame of tags from outer edge to outer edge and {how}")
 
 
-def _check_moved(seen: dict[str, Edges]) -> None:
-    """Raise OnePlace where all photos show the tags in the same place."""
+def _still(seen: dict[str, Edges]) -> bool:
+    """Whether all photos show the tags in the same place."""
     shared = set.intersection(*(set(edges.corners) for edges in seen.values())) if seen else set()
     if len(seen) < LEAST_PHOTOS or not shared:
-        return
+        return False
     at = np.array([[edges.corners[number] for number in sorted(shared)] for edges in seen.values()])
     side = np.linalg.norm(at[..., 1, :] - at[..., 0, :], axis=-1).mean()
-    if np.sqrt(np.square(at - at.mean(axis=0)).sum(axis=-1).mean()) < STILL * side:
-        raise one_place(len(seen))
+    return bool(np.sqrt(np.square(at - at.mean(axis=0)).sum(axis=-1).mean()) < STILL * side)
 
 
 def _too_few(edges: Edges, sheet: Sheet) -> str | None:

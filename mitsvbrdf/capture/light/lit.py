@@ -68,6 +68,8 @@ class Lit:
 def _shading(rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Paper | None,
              depth: float) -> tuple[Shading | None, tuple[str, ...]]:
     """From the paper of the sheet, else from the material, else nothing; and what was noticed."""
+    if rig.source == "none":
+        return None, ("photos rectified to their sheet already: views are unknown, and a fit estimates them",)
     notes = []
     if paper is not None:
         try:
@@ -88,16 +90,12 @@ def _shading(rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Pa
 
 def _views(rig: Rig, shading: Shading | None) -> Views:
     """Where cameras and flashes were, and how bright each photo shows them."""
-    camera = np.stack([pose.position for pose in rig.poses.values()])
-    light = np.stack([pose.flash(rig.lens) for pose in rig.poses.values()])
+    camera, light = map(np.stack, zip(*((p.position, p.flash(rig.lens)) for p in rig.poses.values())))
     if shading is None:
         return Views.of(camera, light, math.pi * float(np.median(np.square(camera).sum(axis=1))), rig.size)
-    power = [[i * math.exp(shading.log_exposure.get(name, 0.0)) for i in shading.intensity]
-             for name in rig.poses]
-    for own, name in zip(power, rig.poses):
-        if name in shading.tint:
-            own[:] = (np.array(own) * shading.tint[name]).tolist()
-    return Views.of(camera, light, power, rig.size)
+    power = [np.array(shading.intensity) * math.exp(shading.log_exposure.get(name, 0.0))
+             * shading.tint.get(name, 1.0) for name in rig.poses]
+    return Views.of(camera, light, np.stack(power), rig.size)
 
 
 def without_vignetting(picture: np.ndarray, rig: Rig, name: str, transfer: color.Transfer) -> np.ndarray:

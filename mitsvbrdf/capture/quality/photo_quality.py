@@ -19,7 +19,7 @@ from torch import Tensor
 from ... import color
 from ...color import NEARLY_CLIPPED
 from ...material.resample import resized
-from ...views import Views, texel_positions
+from ...views import Views, geometry
 
 # texels a side at which radiance is compared, and at most at which detail is
 RADIANCE_SIDE, DETAIL_SIDE = 32, 512
@@ -66,10 +66,7 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, over
         overlap: share of the patch that each photo shows, by name, in the order of the photos.
         evenness: see :class:`PhotoQuality`; None: it is not known.
     """
-    views = views.in_patch_sides()
-    ray = views.light.double()[:, None, None] - texel_positions(RADIANCE_SIDE)
-    power = views.intensity.double().mean(dim=1)[:, None, None]
-    irradiance = (power * ray[..., 2] / ray.norm(dim=-1) ** 3 / math.pi).float()  # of a white diffuse texel
+    irradiance = geometry(views, RADIANCE_SIDE)[-1].mean(dim=-1) / math.pi  # of a white diffuse texel
     linear, clipped = color.decode(photos, transfer), (photos >= NEARLY_CLIPPED).any(dim=-1)
     linear = resized(linear, min(RADIANCE_SIDE, photos.shape[1]))
     luminance = resized(photos, min(DETAIL_SIDE, photos.shape[1])).mean(dim=-1).numpy()
