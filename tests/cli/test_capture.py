@@ -11,7 +11,7 @@ def result(resolution, photos=("IMG_1.jpg", "blurred[red].jpg", "IMG_2.jpg"), re
     rig = SimpleNamespace(rejected={rejected: "blurred: 0.2"}, errors=dict.fromkeys(used, 0.25), tags={})
     return SimpleNamespace(used=used, photos=[SimpleNamespace(name=name) for name in photos], rig=rig,
                            qualities={}, warnings=("the photos are small",), covered=0.5, next_view=None,
-                           capture=SimpleNamespace(resolution=resolution))
+                           capture=SimpleNamespace(resolution=resolution, calibrated=True))
 
 
 def test_the_table_says_by_which_number_a_fit_calls_each_photo(capsys):
