@@ -159,11 +159,11 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
         if found.opaque is not None:
             photo.numpy()[~unmasked(upright(found.opaque, about.orientation), kept)] = np.nan
         outside[path.name] = found.outside
-    photos = photos if photos.isfinite().all() else filled(list(photos.numpy()))
+    photos, measured = (photos, None) if photos.isfinite().all() else filled(list(photos.numpy()))
     colours = {**(told or {}),
                **converted({path.name: about.profile for path, about in zip(paths, headers)}, outside)}
     return Capture(photos, views, transfer, tuple(index), calibration, source, tuple(notes_of(colours)),
-                   colours)
+                   colours, measured)
 
 
 def _common_side(paths: list[Path], sizes: list[tuple[int, int]], source: Path) -> int:

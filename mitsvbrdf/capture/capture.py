@@ -17,6 +17,7 @@ from ..views import Views, whole_numbers
 from .colours import Converted
 
 LEAST_SIDE = 8  # pixels
+MEASURED = 0.999  # share of an area, from which on its average counts as measured
 
 # Where the views of a capture come from: its maker, a marker sheet, the features that raw photos share, or
 # nowhere.
@@ -36,6 +37,8 @@ class Capture:
         source: the folder it came from.
         notes: what a user should know about how it was read (rejected photos, default geometry, ...).
         colours: what was converted to sRGB, by the name of the photos' colour profile.
+        measured: N x R x R, False where ``photos`` are made up, as a mask or the photo's edge hid them; None:
+            nowhere.
 
     Raises:
         CaptureError: photos of another shape or with values that no photo has, or not a view and a number for
@@ -51,6 +54,7 @@ class Capture:
     source: Path | None = None
     notes: tuple[str, ...] = ()
     colours: Mapping[str, Converted] = field(default_factory=dict)
+    measured: Tensor | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, "views", "transfer", "calibration", "source")
@@ -97,7 +101,9 @@ class Capture:
     @kinds_checked
     def averaged(self, resolution: int) -> Capture:
         """The photos at another size, by area averages of display values."""
-        return replace(self, photos=area_averaged(self.photos, resolution).contiguous())
+        whole = None if self.measured is None else area_averaged(self.measured[..., None].float(), resolution)
+        return replace(self, photos=area_averaged(self.photos, resolution).contiguous(),
+                       measured=None if whole is None else whole[..., 0] > MEASURED)
 
     @kinds_checked
     def sampled(self, resolution: int) -> Capture:
@@ -105,7 +111,8 @@ class Capture:
         if resolution < 1:
             raise ConfigError("a resolution of 1 or more", str(resolution), "choose a larger one")
         photos = sampled(self.photos.movedim(-1, 1), resolution)
-        return replace(self, photos=photos.movedim(1, -1).contiguous())
+        return replace(self, photos=photos.movedim(1, -1).contiguous(),
+                       measured=None if self.measured is None else sampled(self.measured, resolution))
 
     def pick(self, index: Sequence[int]) -> Capture:
         """The photos with these numbers (as in :attr:`index`), in this order.
@@ -121,7 +128,8 @@ class Capture:
         if len(set(index)) < len(index):
             raise CaptureError("each photo once", f"photos {list(index)}", "take the repeated number out")
         rows = [self.index.index(i) for i in index]
-        return replace(self, photos=self.photos[rows], views=self.views.pick(rows), index=tuple(index))
+        return replace(self, photos=self.photos[rows], views=self.views.pick(rows), index=tuple(index),
+                       measured=None if self.measured is None else self.measured[rows])
 
 
 def _checked(photos: Tensor) -> Tensor:

@@ -126,7 +126,9 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
         OutputError: the folder cannot be written to.
     """
     folder, views = Path(folder), capture.views
-    for i, photo in enumerate(capture.photos):
+    hidden = capture.measured
+    shown = capture.photos if hidden is None else torch.cat((capture.photos, hidden[..., None].float()), -1)
+    for i, photo in enumerate(shown):
         write_png(folder / "target" / f"{i:02d}.png", photo, 16 if capture.transfer == "linear" else 8)
     power = views.intensity.tolist()
     files.write_json(folder / "capture.json",
@@ -213,8 +215,9 @@ def _unposed(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution
     colours = converted({photo.name: photo.profile for photo in photos}, outside)
     share = min(photos[0].size) / max(photos[0].size)
     views = replace(default_views(len(photos), _angle(photos[0]), share), falloff=falloff)
-    return Capture(filled(squares), views, "linear" if photos[0].linear else "srgb", tuple(index), "none",
-                   folder, (*notes, *told, *notes_of(colours)), colours)
+    pictures, measured = filled(squares)
+    return Capture(pictures, views, "linear" if photos[0].linear else "srgb", tuple(index), "none", folder,
+                   (*notes, *told, *notes_of(colours)), colours, measured)
 
 
 def _angle(photo: Photo) -> float:
@@ -249,4 +252,6 @@ def _shrunk(capture: Capture, resolution: int | None) -> Capture:
         note = f"the photos have {capture.resolution} pixels a side, so they are not enlarged to {resolution}"
         return replace(capture, notes=(*capture.notes, note))
     photos = [averaged(photo.numpy(), resolution) for photo in capture.photos]
-    return replace(capture, photos=torch.from_numpy(np.stack(photos)))
+    hidden = capture.measured
+    return replace(capture, photos=torch.from_numpy(np.stack(photos)), measured=None if hidden is None else
+                   torch.from_numpy(np.stack([unmasked(each.numpy(), resolution) for each in hidden])))

@@ -15,7 +15,6 @@ from .lens import Lens, Pose, project
 from .photo import Photo, reduced
 from .rig import Rig
 
-MOST_FILLED = 0.05  # of a photo, without a word; of one that is rectified here never more
 LONG_SIDE = 1024  # pixels, of a whole photo that is kept
 CORNERS = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])  # of the patch
 
@@ -105,21 +104,24 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
     return out
 
 
-def filled(pictures: Sequence[np.ndarray]) -> torch.Tensor:
-    """Photos (R x R x 3), with the mean of the others where one is NaN, else the nearest: N x R x R x 3."""
+def filled(pictures: Sequence[np.ndarray]) -> tuple[torch.Tensor, torch.Tensor | None]:
+    """Photos (R x R x 3), with the mean of the others where one is NaN, else the nearest: N x R x R x 3.
+
+    With it comes where they are measured, N x R x R; None: everywhere.
+    """
     stack = np.stack(pictures)
     known = np.isfinite(stack)
-    if not known.all():
+    measured = None if known.all() else torch.from_numpy(known.all(axis=-1))
+    if measured is not None:
         mean = np.where(known, stack, 0).sum(axis=0) / known.sum(axis=0).clip(1)
         stack = np.where(known, stack, mean)
-        unseen, most = ~known.any(axis=(0, 3)), 1 - known.mean(axis=(1, 2, 3)).min()
-        if most > MOST_FILLED or unseen.any():
-            warnings.warn(f"up to {most:.1%} of a photo is masked, {unseen.mean():.1%} of the patch in all; "
-                          "what is made up there is not measured, and maps suffer elsewhere, too; omit such "
-                          "photos, or crop all", InputWarning, stacklevel=2)
+        unseen = ~known.any(axis=(0, 3))
+        if unseen.any():
+            warnings.warn(f"{unseen.mean():.1%} of the patch is masked in all photos; what maps show there is "
+                          "made up", InputWarning, stacklevel=2)
         if unseen.any() and not unseen.all():
             from scipy.ndimage import distance_transform_edt
 
             nearest = distance_transform_edt(unseen, return_distances=False, return_indices=True)
             stack = stack[:, nearest[0], nearest[1]]
-    return torch.from_numpy(stack).clamp(0, 1)
+    return torch.from_numpy(stack).clamp(0, 1), measured

@@ -150,7 +150,7 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
     rejected |= blurred(without_pose, rejected, rectified.small.values())
     index = tuple(i for i, photo in enumerate(photos) if photo.name in lit.rig.poses)
     capture = Capture(lit.pictures, lit.views, transfer, index, rig.source, photos[0].path.parent,
-                      colours=colours)
+                      colours=colours, measured=lit.measured)
     return CaptureResult(capture, tuple(photos), replace(lit.rig, rejected=rejected), lit.shading, qualities,
                          coverage_angle(lit.views, COVERAGE_SIDE),
                          next_best_view(lit.views, list(lit.rig.poses), rig.unit) if capture.calibrated

@@ -127,7 +127,7 @@ def write_exr(path: Path, image: Tensor) -> None:
 
 
 def write_png(path: Path, image: Tensor, bits: int = 8) -> None:
-    """An 8- or 16-bit PNG of display values in [0, 1] (clipped), H x W x 3 or H x W x 1."""
+    """An 8- or 16-bit PNG of display values in [0, 1] (clipped), H x W x 1, 3 or 4 (alpha)."""
     write_bytes(path, encode_png(image, bits))
 
 
@@ -138,7 +138,7 @@ def encode_png(image: Tensor, bits: int = 8) -> bytes:
     kind = np.uint8 if bits == 8 else np.uint16
     top = np.iinfo(kind).max
     pixels = np.rint(image.detach().clamp(0, 1).to(torch.float64).numpy() * top).astype(kind)
-    pixels = pixels[..., ::-1] if pixels.shape[2] == 3 else pixels
+    pixels = pixels[..., [2, 1, 0, 3][:pixels.shape[2]]] if pixels.shape[2] > 1 else pixels
     return cv2.imencode(".png", np.ascontiguousarray(pixels))[1].tobytes()
 
 

@@ -33,6 +33,7 @@ class Lit:
         rig: with the flash and vignetting of its lens; poses in the order in which the photos were given.
         shading: flash, vignetting and exposures; None where the photos do not tell them.
         pictures: N x R x R x 3 display values without vignetting; what lies beyond a photo's edges is filled.
+        measured: N x R x R, False where it is; None: nowhere.
         overlap: share of the patch that a photo shows, by name.
         views: N.
         notes: what a user should know.
@@ -41,6 +42,7 @@ class Lit:
     rig: Rig
     shading: Shading | None
     pictures: torch.Tensor
+    measured: torch.Tensor | None
     overlap: dict[str, float]
     views: Views
     notes: tuple[str, ...]
@@ -62,7 +64,7 @@ class Lit:
         pictures = [without_vignetting(rectified.pictures[name], rig, name, transfer) for name in given]
         overlap = {name: float(np.isfinite(picture).all(axis=-1).mean())
                    for name, picture in zip(given, pictures)}
-        return cls(rig, shading, filled(pictures), overlap, _views(rig, shading), notes)
+        return cls(rig, shading, *filled(pictures), overlap, _views(rig, shading), notes)
 
 
 def _shading(rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Paper | None,

@@ -39,9 +39,11 @@ class ObservationModel:
         """The photos; while texels are tied to look-alikes, pixels near highlights count most."""
         noise, capture = float(self.stages.noise), scale.capture
         weighted = self.stages.tied and not scale.free and self.config.highlight_reach
+        weights = self._trust(scale, estimate, self.config.highlight_reach) if weighted else None
+        if capture.measured is not None:
+            weights = capture.measured.float() if weights is None else capture.measured * weights
         return Observations(capture.photos, self.corrections.applied(capture.views), capture.transfer, noise,
-                            (ROBUST_END if scale.free else ROBUST) * noise,
-                            self._trust(scale, estimate, self.config.highlight_reach) if weighted else None)
+                            (ROBUST_END if scale.free else ROBUST) * noise, weights)
 
     def without_burn_in(self, planes: Tensor, scale: Scale, estimate: TexelEstimate) -> Tensor:
         """Shared unknowns that do not follow the highlights of real photos."""

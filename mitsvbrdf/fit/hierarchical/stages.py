@@ -173,7 +173,9 @@ def unexplained(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Render
     """
     with torch.no_grad():
         images = renderer.render(svbrdf, views)
-    error = torch.where(capture.photos < CLIPPED, color.to_display(images, capture.transfer) - capture.photos,
+    told = capture.photos < CLIPPED
+    told = told if capture.measured is None else told & capture.measured[..., None]
+    error = torch.where(told, color.to_display(images, capture.transfer) - capture.photos,
                         0.0)
     alike = (error[:, 1:] * error[:, :-1]).mean() + (error[:, :, 1:] * error[:, :, :-1]).mean()
     return torch.stack(((alike / 2).clamp_min(0), error.square().mean())).sqrt()

@@ -34,7 +34,9 @@ def test_vignetting_is_undone_in_linear_light():
 def test_what_a_photo_does_not_reach_is_taken_from_the_others():
     photos = np.stack([np.full((2, 2, 3), value, np.float32) for value in (0.2, 0.4, 0.9)])
     photos[0, 0, 0], photos[:, 1, 1] = np.nan, np.nan
-    found = filled(list(photos)).numpy()
+    found, measured = filled(list(photos))
+    assert np.array_equal(measured.numpy(), np.isfinite(photos).all(axis=-1))
+    found = found.numpy()
     assert found[0, 0, 0] == pytest.approx(0.65)
     assert np.array_equal(found[:, 1, 1], photos[:, 0, 1])  # seen in none: the nearest texel of each
     untouched = np.isfinite(photos)
