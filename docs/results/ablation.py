@@ -24,7 +24,6 @@ PATCHES, RMSE = 0.8, 1.1  # of the maps' errors: the bar of detail
 # An ingredient that is off -> the settings of HierarchicalConfig that take it away.
 VARIANTS = {
     "one basis material": {"materials": 1},
-    "own numbers integrated out": {"marginalise": True},
     "no neighbours as starts": {"neighbours": False},
     "sharing not enforced": {"spread": 10.0},
     "relief 5 times as deep": {"relief": 0.1},

@@ -120,7 +120,7 @@ class Store:
                       for name, info in self.objects().items())
 
     def move(self, name: str, other: str) -> None:
-        """Rename a folder; in a store object by object."""
+        """Rename a folder; an object store moves its objects one by one."""
         if self.folder:
             os.rename(self.folder / name, self.folder / other)
             return

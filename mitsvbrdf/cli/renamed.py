@@ -11,12 +11,13 @@ from ..errors import ConfigError
 # that form.
 RENAMED_COMMANDS = {"pretrain": "fit --method gan --preset paper-two-stage --pretrain"}
 FIT = {"--own": "--detail-spread", "--tails": "--highlight-reach", "--likeness": "--similarity",
-       "--no-independent": "--no-remove-burn-in", "--integrated": "--marginalise",
-       "--no-rivals": "--no-multi-start", "--finish": "--detail", "--finish-steps": "--detail-steps"}
+       "--no-independent": "--no-remove-burn-in", "--no-rivals": "--no-multi-start", "--finish": "--detail",
+       "--finish-steps": "--detail-steps"}
 RENAMED: dict[str, dict[str, str]] = {"fit": FIT, "batch": FIT, "bench": {"--left-out": "--held-out"},}
 # Options that are gone, and why.
 NO_GAIN = "it gained nothing on any material (docs/results/{}.md); leave it out"
-GAN = (dict.fromkeys(("--guessed-normal", "--highlight-aware", "--kl"), NO_GAIN.format("lab-notes"))
+GAN = (dict.fromkeys(("--guessed-normal", "--highlight-aware", "--kl", "--integrated", "--marginalise"),
+                     NO_GAIN.format("lab-notes"))
        | dict.fromkeys(("--average", "--fresh-pictures"), NO_GAIN.format("gan")))
 GONE: dict[str, dict[str, str]] = {
     "fit": GAN, "batch": GAN, "relight": {

@@ -130,8 +130,6 @@ class HierarchicalConfig(FitConfig):
     """Lobe widths from a highlight at which pixels begin to count less. 0: all count alike. Real photos."""
     remove_burn_in: Switch = True
     """Remove from specular and roughness what follows the highlights of the photos. Real photos only."""
-    marginalise: Switch = False
-    """Integrate slopes and diffuse colours out before texels share, instead of maximising them."""
     noise: float | None = None
     """Noise of real photos in display values. A higher value keeps less detail. Default: cross-validation."""
     neighbours: Switch = True

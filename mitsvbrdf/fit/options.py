@@ -20,9 +20,10 @@ from .methods import METHODS, method_name
 PREDICTED = 9  # held-out photos that the page of a fit shows at once; `report --capture` shows all
 
 FORMER = {"own": "detail_spread", "tails": "highlight_reach", "likeness": "similarity",
-          "independent": "remove_burn_in", "integrated": "marginalise", "rivals": "multi_start"}
+          "independent": "remove_burn_in", "rivals": "multi_start"}
 # settings of earlier fits, whose fit.json is still read
-GONE = ("guessed_normal", "highlight_aware", "kl", "average", "fresh_pictures")
+GONE = ("guessed_normal", "highlight_aware", "kl", "average", "fresh_pictures", "integrated",
+        "marginalise")
 
 
 @dataclass(frozen=True)

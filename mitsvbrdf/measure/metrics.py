@@ -57,14 +57,15 @@ def _encoded(svbrdf: SVBRDF, roughness: str) -> dict[str, Tensor]:
             "normal": (maps["normal"] + 1) / 2}
 
 
-def photo_rmse(rerendered: Tensor, photos: Tensor,
-               transfer: color.Transfer = "gamma2.2") -> tuple[float, list[float]]:
-    """RMSE of re-rendered photos, in display values clipped to [0, 1], over all pixels and channels.
+def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "gamma2.2",
+               measured: Tensor | None = None) -> tuple[float, list[float]]:
+    """RMSE of re-rendered photos, in display values clipped to [0, 1], over all measured pixels and channels.
 
     Args:
         rerendered: N x R x R x 3, linear radiance.
         photos: N x R x R x 3, display values in [0, 1].
         transfer: how the photos encode radiance.
+        measured: N x R x R, False where a pixel does not count; None: all count.
 
     Returns:
         The error over all photos (the root of the mean of their squared errors), and one for each photo.
@@ -77,7 +78,11 @@ def photo_rmse(rerendered: Tensor, photos: Tensor,
         raise CaptureError("re-rendered and real photos of one shape N x R x R x 3", shapes,
                            "render every view at the photos' resolution")
     shown = color.to_display(rerendered.detach().double(), transfer)
-    squares = (shown - color.clip(photos.double())).square().mean(dim=(1, 2, 3))
+    squares = (shown - color.clip(photos.double())).square()
+    if measured is not None:
+        share = measured.double().mean(dim=(1, 2), keepdim=True).clamp_min(1e-9)
+        squares = squares * (measured / share)[..., None]
+    squares = squares.mean(dim=(1, 2, 3))
     return math.sqrt(squares.mean()), squares.sqrt().tolist()
 
 

@@ -17,4 +17,4 @@ def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views,
     """A capture's photos re-rendered: linear images, RMSE of all, RMSE of each (display values)."""
     with torch.no_grad():
         images = renderer.render(svbrdf, views)
-    return images, *photo_rmse(images, capture.photos, capture.transfer)
+    return images, *photo_rmse(images, capture.photos, capture.transfer, capture.measured)

@@ -88,7 +88,7 @@ def plugin(bsdf: str, needs: Needs, texture: Callable[[str], Any], stock: bool =
         needs: which lobes to sum, whether there is a normal map, and whether reflectance follows the angle
             (real Fresnel reflectance, needed away from co-located views) or is constant.
         texture: makes the texture of a slot, by its name in :func:`slot_values`.
-        stock: of plugins that every Mitsuba has, to be written to a file.
+        stock: whether only Mitsuba's own plugins are used, as in a file for others.
     """
     if bsdf == "principled":
         shading = {"type": "principled", "base_color": texture("base_color"),

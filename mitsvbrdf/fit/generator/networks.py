@@ -171,7 +171,7 @@ class AllPhotosGenerator(nn.Module):
         return nn.ModuleList([*layers, nn.Conv2d(widths[0], channels, 1)])
 
     def forward(self, condition: Tensor) -> dict[str, Tensor]:
-        """Changes by name, each C x R x R, for a conditioning image 1 x inputs x R x R."""
+        """The change of each map before Tanh, by name, C x R x R; the condition is 1 x inputs x R x R."""
         size = condition.shape[-1]
         levels = [pad_to_multiple(condition, 16)]
         for layer in self.down:

@@ -36,7 +36,6 @@ from .cross_validation import AGREED, NOISES, in_turn, least_as_good, prediction
 from .observations import ROBUST_END, ObservationModel
 from .omitted import omitted_stages
 from .scales import Scale, Scales
-from .sharing import marginalised
 from .solver import Observations, Solved
 from .specular_test import Search, decision_work, explained_without, may_be_omitted, without_lobe
 from .stages import NOISE, Stage, Stages, unexplained
@@ -223,14 +222,11 @@ class Hierarchical(Method[HierarchicalConfig]):
     def _tied(self, scale: Scale, photos: Observations, answer: TexelEstimate) -> TexelEstimate:
         """The answer with the prior of the next round, from what texels are seen to be."""
         prior, precision = self.prior, answer.precision + LEAST_PRECISION
-        variance, says = scale.solver.variances(photos, answer.x, precision), answer.x
+        variance = scale.solver.variances(photos, answer.x, precision)
         if scale.free:
             return prior.loosen(answer, variance)
-        if self.config.marginalise:
-            says = marginalised(scale.solver, photos, says, precision, prior.shared, prior.low, prior.high)
-        shared = prior.share(answer._replace(x=says), variance, scale.member, len(photos.views),
-                            self.stages.tied, lambda planes: self.without_burn_in(planes, scale, answer))
-        return shared._replace(x=answer.x)
+        return prior.share(answer, variance, scale.member, len(photos.views), self.stages.tied,
+                           lambda planes: self.without_burn_in(planes, scale, answer))
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The present maps at full size, of tied texels with the freedom that they have in the end."""

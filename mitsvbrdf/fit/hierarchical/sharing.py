@@ -6,17 +6,6 @@ its own with standard deviation tau. Each basis material has its own tau: gilt m
 it does not. The posterior of a texel divided by its prior is what its photos alone say. The means of the
 basis materials are averages of that, weighted by precision. Tau follows by expectation-maximisation (Dempster
 et al. 1977; the division is that of expectation propagation, Minka 2001).
-
-The most probable slopes and diffuse colour of a texel explain its photos too well: slopes take up scatter
-that belongs to the roughness. Beside thousands of such numbers the few shared ones are biased by an amount
-that more texels do not reduce (Neyman and Scott 1948). :func:`marginalised` uses Laplace's approximation of
-the integral over the own numbers y,
-
-    int exp(-cost / 2) dy  ~  exp(-cost / 2) |H_yy|^(-1/2),    H = J^T W J + precision.
-
-It adds log |H_yy| to the cost, which moves the maximum of the rest by -V grad log |H_yy| / 2, V = H^-1: the
-first-order correction of Cox and Snell 1968 and Firth 1993. The correction grows with the square of the
-noise, so it uses the noise that is seen, which is less than the noise that texels are allowed.
 """
 
 from __future__ import annotations
@@ -34,7 +23,6 @@ from ...capture import Capture
 from ...capture.guess import over
 from ...material.maps import DIELECTRIC_F0
 from ...views import geometry
-from .solver import Observations, TexelSolver
 
 KMEANS_ROUNDS, KMEANS_STARTS = 30, 1
 ROUNDS = 10  # of expectation-maximisation; tau changes by less than 1 % afterwards
@@ -47,8 +35,6 @@ TYPICAL = {"specular": (DIELECTRIC_F0 ** (1 / 2.2), 0.05)}
 UNKNOWN = 0.0, float("inf")
 COMMON = 20.0  # texels whose worth the common spread counts as in that of each basis material
 NOBODY = 1e-30
-STEP = 0.01  # of the differences in :func:`marginalised`, in numbers between 0 and 1
-FARTHEST_STEP = 1.0  # largest step of it in standard deviations; the approximation knows no more
 
 
 def appearance_of(capture: Capture, guess: Tensor) -> Tensor:
@@ -143,47 +129,3 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
         common = square.mean(dim=1, keepdim=True)
         tau2 = (square @ member + COMMON * common) / (member.sum(dim=0) + COMMON) @ member.T
     return Shared(mean, tau2.sqrt().clamp_min(LEAST_SPREAD), common[:, 0].sqrt().clamp_min(LEAST_SPREAD))
-
-
-def marginalised(solver: TexelSolver, observations: Observations, x: Tensor, precision: Tensor,
-                 shared: Tensor, low: Tensor, high: Tensor) -> Tensor:
-    """The most probable unknowns of each texel, the shared ones as they are with the others integrated out.
-
-    Args:
-        solver: of the texels.
-        observations: the photos.
-        x: the most probable unknowns, U x R x R.
-        precision: of the prior, U x R x R, above 0.
-        shared: positions of the unknowns to move.
-        low: lowest value of each unknown, U numbers.
-        high: the highest.
-
-    Returns:
-        U x R x R, float32, within the bounds.
-    """
-    own = torch.tensor([u for u in range(len(x)) if u not in shared.tolist()], dtype=torch.long)
-    if not len(own) or not len(shared):
-        return x
-
-    def matrix(at: Tensor) -> tuple[Tensor, Tensor]:
-        cost, _, curve = solver.normal_equations(observations, at)
-        prior = torch.diag_embed(precision.permute(1, 2, 0).double())
-        return cost, curve.permute(2, 3, 0, 1).double() + prior
-
-    def volume(at: Tensor) -> Tensor:
-        return torch.linalg.slogdet(matrix(at)[1][..., own[:, None], own]).logabsdet
-
-    cost, here = matrix(x)
-    values = max(3 * len(observations.photos) - len(x), 1)  # that a texel's unknowns leave to its errors
-    noise = float((cost.mean() / values).clamp_max(1))
-    slopes = []
-    for u in shared.tolist():
-        more, less = x.clone(), x.clone()
-        more[u], less[u] = (x[u] + STEP).clamp_max(float(high[u])), (x[u] - STEP).clamp_min(float(low[u]))
-        slopes.append((volume(more) - volume(less)) / (more[u] - less[u]).double())
-    covariance = torch.linalg.inv(here)[..., shared[:, None], shared]
-    step = -0.5 * noise * (covariance @ torch.stack(slopes, dim=-1)[..., None])[..., 0]
-    reach = FARTHEST_STEP * covariance.diagonal(dim1=-2, dim2=-1).clamp_min(0).sqrt()
-    found = x.clone()
-    found[shared] += torch.maximum(torch.minimum(step, reach), -reach).permute(2, 0, 1).float()
-    return torch.maximum(torch.minimum(found, high[:, None, None]), low[:, None, None])
