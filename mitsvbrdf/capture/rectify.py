@@ -117,8 +117,8 @@ def filled(pictures: Sequence[np.ndarray]) -> tuple[torch.Tensor, torch.Tensor |
         stack = np.where(known, stack, mean)
         unseen = ~known.any(axis=(0, 3))
         if unseen.any():
-            warnings.warn(f"{unseen.mean():.1%} of the patch is masked in all photos; what maps show there is "
-                          "made up", InputWarning, stacklevel=2)
+            warnings.warn(f"{unseen.mean():.1%} of the patch is masked in all photos; maps are made up "
+                          "there", InputWarning, stacklevel=2)
         if unseen.any() and not unseen.all():
             from scipy.ndimage import distance_transform_edt
 

@@ -10,6 +10,7 @@ import pytest
 from mitsvbrdf.capture.lens import Lens, Pose, project
 from mitsvbrdf.capture.light.lit import filled, without_vignetting
 from mitsvbrdf.capture.rig import Rig
+from mitsvbrdf.errors import InputWarning
 
 
 def test_vignetting_is_undone_in_linear_light():
@@ -34,7 +35,8 @@ def test_vignetting_is_undone_in_linear_light():
 def test_what_a_photo_does_not_reach_is_taken_from_the_others():
     photos = np.stack([np.full((2, 2, 3), value, np.float32) for value in (0.2, 0.4, 0.9)])
     photos[0, 0, 0], photos[:, 1, 1] = np.nan, np.nan
-    found, measured = filled(list(photos))
+    with pytest.warns(InputWarning, match="25.0% of the patch"):
+        found, measured = filled(list(photos))
     assert np.array_equal(measured.numpy(), np.isfinite(photos).all(axis=-1))
     found = found.numpy()
     assert found[0, 0, 0] == pytest.approx(0.65)
