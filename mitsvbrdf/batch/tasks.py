@@ -141,8 +141,7 @@ class RayTasks:
         """Start a Ray of its own, or join a cluster."""
         address, here = self.settings.address, self.settings.address is None
         if here and "ray" in sys.modules and not ALONE.items() <= os.environ.items():
-            raise BackendError("Ray to be imported by the batch", "a program that imported it before",
-                               "run the command `mitsvbrdf batch`")
+            raise BackendError("Ray not imported yet", "it imported before", "run `mitsvbrdf batch`")
         try:
             if here:
                 self._start_own(folder)

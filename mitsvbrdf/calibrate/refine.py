@@ -205,6 +205,9 @@ class Problem:
         photos = capture.photos.double().permute(0, 3, 1, 2)
         self.photos = F.adaptive_avg_pool2d(photos, side).permute(0, 2, 3, 1)
         self.clipped = F.adaptive_max_pool2d(photos, side).permute(0, 2, 3, 1) >= CLIPPED  # in part, too
+        self.measured = capture.measured_at(side)
+        if self.measured is not None:
+            self.clipped |= ~self.measured[..., None]
         self.renderer = AnalyticRenderer(torch.float64, Needs())  # everything: light and camera move apart
 
         self.whitened = Layout(own=(count, CHANGE.size), common_flash=(2,))
@@ -232,12 +235,14 @@ class Problem:
 
     def rmse(self, views: Views) -> list[float]:
         """Error of each photo, as :func:`~mitsvbrdf.measure.metrics.photo_rmse` counts it."""
-        return photo_rmse(self.renderer.render(self.maps, views), self.photos, self.transfer)[1]
+        return photo_rmse(self.renderer.render(self.maps, views), self.photos, self.transfer,
+                          self.measured)[1]
 
     def residuals(self, radiance: Tensor) -> Tensor:
-        """Display values minus those of the photos, N x R x R x 3; 0 where a clipped photo is met."""
+        """Display values minus those of the photos, N x R x R x 3; 0 where a clipped photo is met, or none is measured."""
         error = color.encode(radiance, self.transfer) - self.photos
-        return torch.where(self.clipped, error.clamp_max(0), error)
+        error = torch.where(self.clipped, error.clamp_max(0), error)
+        return error if self.measured is None else error * self.measured[..., None]
 
     def evidence(self, error: Tensor) -> tuple[Tensor, Tensor]:
         """Noise of each photo's residuals, and how many of them count as one: both N x 1 x 1 x 1.

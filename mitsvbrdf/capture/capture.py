@@ -17,7 +17,6 @@ from ..views import Views, whole_numbers
 from .colours import Converted
 
 LEAST_SIDE = 8  # pixels
-MEASURED = 0.999  # share of an area, from which on its average counts as measured
 
 # Where the views of a capture come from: its maker, a marker sheet, the features that raw photos share, or
 # nowhere.
@@ -98,12 +97,22 @@ class Capture:
         """The photos as linear radiance, N x R x R x 3 (clipped highlights stay at 1)."""
         return color.decode(self.photos, self.transfer)
 
+    @property
+    def usable(self) -> Tensor:
+        """Where the photos tell a value, N x R x R x 3: measured and not clipped."""
+        below = self.photos < color.CLIPPED
+        return below if self.measured is None else below & self.measured[..., None]
+
+    def measured_at(self, resolution: int) -> Tensor | None:
+        """:attr:`measured` at another size: averages with a pixel that is not measured are not."""
+        hidden = None if self.measured is None else (~self.measured[..., None]).float()
+        return None if hidden is None else area_averaged(hidden, resolution)[..., 0] == 0
+
     @kinds_checked
     def averaged(self, resolution: int) -> Capture:
         """The photos at another size, by area averages of display values."""
-        whole = None if self.measured is None else area_averaged(self.measured[..., None].float(), resolution)
         return replace(self, photos=area_averaged(self.photos, resolution).contiguous(),
-                       measured=None if whole is None else whole[..., 0] > MEASURED)
+                       measured=self.measured_at(resolution))
 
     @kinds_checked
     def sampled(self, resolution: int) -> Capture:

@@ -126,8 +126,8 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
         OutputError: the folder cannot be written to.
     """
     folder, views = Path(folder), capture.views
-    hidden = capture.measured
-    shown = capture.photos if hidden is None else torch.cat((capture.photos, hidden[..., None].float()), -1)
+    shown = capture.photos if capture.measured is None else torch.cat((capture.photos,
+                                                                       capture.measured[..., None]), dim=-1)
     for i, photo in enumerate(shown):
         write_png(folder / "target" / f"{i:02d}.png", photo, 16 if capture.transfer == "linear" else 8)
     power = views.intensity.tolist()
@@ -252,6 +252,5 @@ def _shrunk(capture: Capture, resolution: int | None) -> Capture:
         note = f"the photos have {capture.resolution} pixels a side, so they are not enlarged to {resolution}"
         return replace(capture, notes=(*capture.notes, note))
     photos = [averaged(photo.numpy(), resolution) for photo in capture.photos]
-    hidden = capture.measured
-    return replace(capture, photos=torch.from_numpy(np.stack(photos)), measured=None if hidden is None else
-                   torch.from_numpy(np.stack([unmasked(each.numpy(), resolution) for each in hidden])))
+    return replace(capture, photos=torch.from_numpy(np.stack(photos)),
+                   measured=capture.measured_at(resolution))

@@ -121,7 +121,8 @@ def fingerprints(config: FitConfig, capture: Capture, renderer: str,
     parts |= {"--renderer": renderer, "--transfer": capture.transfer, "--falloff": views.falloff,
               "size of the patch": repr(views.size)}
     for row, name in enumerate(capture.names):
-        parts[f"photo {name}"] = digest(capture.photos[row])
+        parts[f"photo {name}"] = digest(*(each[row] for each in (capture.photos, capture.measured)
+                                          if each is not None))
         parts[f"view of photo {name}"] = digest(views.camera[row], views.light[row], views.intensity[row])
     return parts
 

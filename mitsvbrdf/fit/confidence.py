@@ -31,7 +31,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .. import color
-from ..color import CLIPPED, QUANTIZATION_NOISE
+from ..color import QUANTIZATION_NOISE
 from ..material.maps import COLOURS, SVBRDF
 from ..render.analytic import AnalyticRenderer
 from ..render.needs import Needs
@@ -61,8 +61,7 @@ def deviations(svbrdf: SVBRDF, views: Views, images: Tensor, task: FitTask) -> d
     """
     capture = task.capture
     side = min(GRID, svbrdf.resolution)
-    seen = (capture.photos < CLIPPED).double()
-    seen = seen if capture.measured is None else seen * capture.measured[..., None]
+    seen = capture.usable.double()
     miss = seen * (color.to_display(images, capture.transfer) - capture.photos).double().square()
     weights, missed = (
         F.adaptive_avg_pool2d(x.permute(0, 3, 1, 2), side).permute(2, 3, 0, 1).reshape(side * side, -1, 1)

@@ -100,7 +100,7 @@ def _twice(capture: Capture) -> Iterator[str]:
 
 def _light(result: Fit, capture: Capture) -> Iterator[str]:
     photos, images = capture.linear, result.rerendered
-    usable = (capture.photos < CLIPPED) & (capture.photos > DARK) & (images > 0)
+    usable = capture.usable & (capture.photos > DARK) & (images > 0)
     if float(usable.float().mean()) > USABLE:
         gain = float((photos[usable] / images[usable]).median())
         if not 1 / GAIN < gain < GAIN:

@@ -141,5 +141,5 @@ def test_ray_that_was_imported_before_is_one_clear_error(monkeypatch, tmp_path):
     """It has read no token then, and would wait for half a minute."""
     monkeypatch.setitem(sys.modules, "ray", sys)
     monkeypatch.delenv("RAY_AUTH_MODE")
-    with pytest.raises(BackendError, match="imported it before"):
+    with pytest.raises(BackendError, match="not imported yet"):
         RayTasks(BatchSettings())._start(tmp_path)

@@ -32,6 +32,13 @@ def folder(tmp_path_factory):
     return place
 
 
+def test_a_record_of_an_earlier_version_has_what_pages_ask_for(folder):
+    earlier = {name: value for name, value in RECORD.items() if name not in ("used", "calibrated_rmse")}
+    (folder / "fit.json").write_text(json.dumps(earlier))
+    fit = Fit.load(folder)
+    assert (fit.record["used"], fit.record["calibrated_rmse"]) == ([], None)
+
+
 def places(value, where=()):
     yield where
     items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()

@@ -64,6 +64,16 @@ def test_photo_rmse_clips_and_weighs_all_pixels_alike():
     assert each == pytest.approx([rms(photo) for photo in off], rel=1e-12)
 
 
+def test_photo_rmse_of_masked_photos_is_that_of_the_rest():
+    generator = torch.Generator().manual_seed(0)
+    linear, photos = torch.rand(2, 2, 4, 4, 3, generator=generator, dtype=torch.float64)
+    measured = torch.ones(2, 4, 4, dtype=torch.bool)
+    measured[0, :, 1] = False
+    _, each = photo_rmse(linear, photos, "linear", measured)
+    rest = photo_rmse(linear[:1, :, [0, 2, 3]], photos[:1, :, [0, 2, 3]], "linear")[0]
+    assert each == pytest.approx([rest, photo_rmse(linear[1:], photos[1:], "linear")[0]], rel=1e-12)
+
+
 def test_photo_rmse_of_the_same_photos_is_zero():
     photos = torch.rand(2, 4, 4, 3, dtype=torch.float64)
     assert photo_rmse(photos, photos, "linear") == (0.0, [0.0, 0.0])

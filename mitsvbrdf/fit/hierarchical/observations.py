@@ -41,7 +41,7 @@ class ObservationModel:
         weighted = self.stages.tied and not scale.free and self.config.highlight_reach
         weights = self._trust(scale, estimate, self.config.highlight_reach) if weighted else None
         if capture.measured is not None:
-            weights = capture.measured.float() if weights is None else capture.measured * weights
+            weights = capture.measured * (1 if weights is None else weights)
         return Observations(capture.photos, self.corrections.applied(capture.views), capture.transfer, noise,
                             (ROBUST_END if scale.free else ROBUST) * noise, weights)
 

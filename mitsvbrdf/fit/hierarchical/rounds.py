@@ -172,9 +172,8 @@ class Hierarchical(Method[HierarchicalConfig]):
             free, some = self._freed(answer, fine), self.scales.sampled
             starts[photo] = TexelEstimate(some(free.x), some(free.mean), some(free.precision), free.spread)
         sharp = self.scales.of(Stage.ALONE)
-        told = sharp.capture.measured
         photos = replace(self.observations(sharp, self.answer), robust=ROBUST_END * NOISE, noise=NOISE,
-                         weights=None if told is None else told.float())
+                         weights=sharp.capture.measured)
         return NOISES[least_as_good(prediction_errors(photos, sharp.solver, self.prior, starts, NOISES))]
 
     def _keep(self) -> None:

@@ -28,7 +28,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-from ...color import CLIPPED, QUANTIZATION_NOISE
+from ...color import QUANTIZATION_NOISE
 from ...material.maps import CHANNELS
 from ...material.resample import enlarged
 from ..start import robust_start
@@ -109,7 +109,7 @@ def explained_without(
         x = x if x.shape[-1] == side else enlarged(x, side)
         own = enlarged(own, side) if len(own) else other.solver.numbers(scale.solver.svbrdf(x))
         own, left = least_errors(other.solver, photos, lobeless.prior, [own], ROUNDS)
-        values = (photos.photos < CLIPPED).sum(dim=(0, 3)).double()
+        values = scale.capture.usable.sum(dim=(0, 3)).double()
         counts = len(own), len(x)
         _, less = least_errors(scale.solver, photos, search.prior, [x], steps=0)
         if needed(left, less, values, *counts):

@@ -13,7 +13,6 @@ from torch import Tensor
 
 from ... import color
 from ...capture import Capture
-from ...color import CLIPPED
 from ...material.maps import SVBRDF
 from ...render import Renderer
 from ...views import Views
@@ -160,7 +159,7 @@ class Stages:
 
 
 def unexplained(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Renderer) -> Tensor:
-    """Structure and RMSE of the errors in display values, clipped pixels left out: two numbers.
+    """Structure and RMSE of the errors in display values of usable pixels: two numbers.
 
     Structure is the root of the mean product of neighbouring errors: sensor noise has none, a wrong model
     has.
@@ -173,9 +172,6 @@ def unexplained(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Render
     """
     with torch.no_grad():
         images = renderer.render(svbrdf, views)
-    told = capture.photos < CLIPPED
-    told = told if capture.measured is None else told & capture.measured[..., None]
-    error = torch.where(told, color.to_display(images, capture.transfer) - capture.photos,
-                        0.0)
+    error = torch.where(capture.usable, color.to_display(images, capture.transfer) - capture.photos, 0.0)
     alike = (error[:, 1:] * error[:, :-1]).mean() + (error[:, :, 1:] * error[:, :, :-1]).mean()
     return torch.stack(((alike / 2).clamp_min(0), error.square().mean())).sqrt()

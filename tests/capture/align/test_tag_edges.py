@@ -90,11 +90,13 @@ def test_real_photos_rectified_to_the_frame_of_tags(data_folder):
         pytest.skip(f"needs the photos of a sheet: none at {folder}")
     photos = [Photo.open(path) for path in sorted(folder.glob("*.jpg"))]
     assert len(photos) == 9
-    for photo in photos:
-        assert len(find_edges(photo, SHEET).corners) == 16
+    edges = [find_edges(photo, SHEET) for photo in photos]
+    assert all(len(each.corners) == 16 for each in edges)
     rig = rig_from_sheet(photos[:3], 17.0)
     assert rig.source == "none" and max(rig.errors.values()) < 1.2  # pixels; of the nine 0.92 to 1.07
-    corners = np.array([(-1, 1, 0), (1, -1, 0)]) * rig.size / 2
-    for pose in rig.poses.values():  # the published crop; the tags lie up to 9 pixels off theirs
-        assert project(rig.lens, pose, corners).ravel() == pytest.approx([287.5, 287.5, 1311.5, 1311.5],
-                                                                         abs=12)
+    patch = np.array([(-1, 1, 0), (1, 1, 0), (1, -1, 0), (-1, -1, 0)]) * rig.size / 2
+    for each, pose in zip(edges, rig.poses.values()):  # the homography of OpenCV leaves 1.5 to 1.7 pixels RMS
+        printed = np.concatenate([SHEET.corners[number][:, :2] for number in each.corners]) * 17 / SHEET.size
+        flat, _ = cv2.findHomography(printed, np.concatenate(list(each.corners.values())))
+        other = cv2.perspectiveTransform(patch[None, :, :2], flat)[0]
+        assert np.abs(project(rig.lens, pose, patch) - other).max() < 1.5  # seen: 0.8

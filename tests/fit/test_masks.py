@@ -1,0 +1,65 @@
+"""What masked pixels show does not count: fits, errors and deviations are those of any other values there."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from helpers import ANALYTIC, MITSUBA, photos_of
+
+from mitsvbrdf.calibrate.refine import Priors, refine_views
+from mitsvbrdf.fit import FitTask, HierarchicalConfig
+from mitsvbrdf.fit.checkpoint import fingerprints
+from mitsvbrdf.fit.confidence import deviations
+from mitsvbrdf.fit.hierarchical import Hierarchical
+from mitsvbrdf.fit.hierarchical.stages import unexplained
+from mitsvbrdf.material.made import make_material
+from mitsvbrdf.measure.rerender import rerender
+
+SIDE = 16
+
+
+@pytest.fixture(scope="module")
+def made():
+    return make_material("tiles", SIDE)
+
+
+@pytest.fixture(scope="module")
+def shots(made):
+    """The same photos with two makes of what a mask hides: the first rows of three photos."""
+    capture = photos_of(made)
+    measured = torch.ones(capture.photos.shape[:3], dtype=torch.bool)
+    measured[[0, 3, 6], :5] = False
+    return [replace(capture, measured=measured, photos=torch.where(measured[..., None], capture.photos, value))
+            for value in (0.1, 0.9)]
+
+
+def test_errors_and_deviations(made, shots):
+    views = shots[0].views
+    first, second = ((*rerender(ANALYTIC, made, views, each), unexplained(made, views, each, ANALYTIC).tolist())
+                     for each in shots)
+    assert first[1:] == second[1:] and first[1] < 0.5 / 255
+    first, second = (deviations(made, views, 1.1 * first[0], FitTask(each, ANALYTIC, HierarchicalConfig()))
+                     for each in shots)
+    assert all(torch.equal(first[name], second[name]) for name in first)
+
+
+def test_refined_views(made, shots):
+    found = [refine_views(made, each.views, each, Priors()).views for each in shots]
+    assert torch.equal(found[0].camera, found[1].camera) and torch.equal(found[0].light, found[1].light)
+
+
+def test_rounds_of_the_fit(shots):
+    """From one start: what masks hide shapes the start alone, through the guess."""
+    methods = [Hierarchical(FitTask(each, MITSUBA, HierarchicalConfig())) for each in shots]
+    start = methods[0].answer
+    for method in methods:
+        method.answer = start
+        method.solve()
+    assert torch.equal(*(method.answer.x for method in methods))
+    assert not torch.equal(methods[0].answer.x, start.x)
+
+
+def test_another_mask_is_another_capture(shots):
+    first = replace(shots[0], measured=None)
+    told = [fingerprints(HierarchicalConfig(), each, "mitsuba", {}) for each in (first, shots[0])]
+    assert [told[0][name] != told[1][name] for name in told[0]] == [name[:6] == "photo " for name in told[0]]
