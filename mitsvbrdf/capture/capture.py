@@ -36,8 +36,7 @@ class Capture:
         source: the folder it came from.
         notes: what a user should know about how it was read (rejected photos, default geometry, ...).
         colours: what was converted to sRGB, by the name of the photos' colour profile.
-        measured: N x R x R, False where ``photos`` are made up, as a mask or the photo's edge hid them; None:
-            nowhere.
+        measured: N x R x R, False where photos are made up (masked, or beyond an edge); None: nowhere.
 
     Raises:
         CaptureError: photos of another shape or with values that no photo has, or not a view and a number for
