@@ -29,14 +29,14 @@ def shots(made):
     capture = photos_of(made)
     measured = torch.ones(capture.photos.shape[:3], dtype=torch.bool)
     measured[[0, 3, 6], :5] = False
-    return [replace(capture, measured=measured, photos=torch.where(measured[..., None], capture.photos, value))
-            for value in (0.1, 0.9)]
+    return [replace(capture, photos=torch.where(measured[..., None], capture.photos, value),
+                    measured=measured) for value in (0.1, 0.9)]
 
 
 def test_errors_and_deviations(made, shots):
     views = shots[0].views
-    first, second = ((*rerender(ANALYTIC, made, views, each), unexplained(made, views, each, ANALYTIC).tolist())
-                     for each in shots)
+    first, second = ((*rerender(ANALYTIC, made, views, each),
+                      unexplained(made, views, each, ANALYTIC).tolist()) for each in shots)
     assert first[1:] == second[1:] and first[1] < 0.5 / 255
     first, second = (deviations(made, views, 1.1 * first[0], FitTask(each, ANALYTIC, HierarchicalConfig()))
                      for each in shots)
@@ -63,3 +63,11 @@ def test_another_mask_is_another_capture(shots):
     first = replace(shots[0], measured=None)
     told = [fingerprints(HierarchicalConfig(), each, "mitsuba", {}) for each in (first, shots[0])]
     assert [told[0][name] != told[1][name] for name in told[0]] == [name[:6] == "photo " for name in told[0]]
+
+
+def test_masks_go_with_their_photos(shots):
+    capture = shots[0]
+    halves = capture.averaged(SIDE // 2).measured[[0, 1]]
+    assert halves.tolist() == [[[row > 2] * 8 for row in range(8)], [[True] * 8] * 8]  # the sixth row is half
+    assert capture.sampled(SIDE // 2).measured[0, :, 0].tolist() == [row > 1 for row in range(8)]
+    assert torch.equal(capture.pick([3, 1]).measured, capture.measured[[3, 1]])
