@@ -48,6 +48,16 @@ def test_refined_views(made, shots):
     assert torch.equal(found[0].camera, found[1].camera) and torch.equal(found[0].light, found[1].light)
 
 
+def test_a_photo_that_is_masked_whole_tells_nothing_of_its_view(made, shots):
+    hidden = shots[0].measured.clone()
+    hidden[4] = False
+    priors = Priors(common_flash=(0.0, 0.0))
+    found = refine_views(made, shots[0].views, replace(shots[0], measured=hidden), priors)
+    wanted = torch.tensor([*priors.camera, *priors.flash, priors.exposure], dtype=torch.float64)
+    assert torch.allclose(found.deviation[4], wanted, rtol=1e-6) and found.change[4].abs().max() < 1e-9
+    assert (found.deviation[0] < 0.9 * wanted).any()
+
+
 def test_rounds_of_the_fit(shots):
     """From one start: what masks hide shapes the start alone, through the guess."""
     methods = [Hierarchical(FitTask(each, MITSUBA, HierarchicalConfig())) for each in shots]
