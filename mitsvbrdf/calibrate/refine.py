@@ -239,7 +239,7 @@ class Problem:
                           self.measured)[1]
 
     def residuals(self, radiance: Tensor) -> Tensor:
-        """Display values minus those of the photos, N x R x R x 3; 0 where clipped ones are met, or masked."""
+        """Display values minus the photos', N x R x R x 3; 0 where clipped ones are met, or masked."""
         error = color.encode(radiance, self.transfer) - self.photos
         error = torch.where(self.clipped, error.clamp_max(0), error)
         return error if self.measured is None else error * self.measured[..., None]
