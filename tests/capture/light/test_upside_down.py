@@ -16,7 +16,7 @@ def asked(flashes, sd):
     return Flashes(flashes, np.tile(np.eye(2) / sd**2, (len(flashes), 1, 1)), np.eye(2) / 4)
 
 
-@pytest.mark.parametrize("turned", [[3], [1, 3, 5, 7], [0, 1, 2, 4, 5, 6, 7, 8]])
+@pytest.mark.parametrize("turned", [[3], [0], [1, 3, 5, 7], [0, 1, 2, 4, 5, 6, 7, 8]])
 def test_those_on_the_other_side_are_the_fewer(turned):
     signs = np.ones(9)
     signs[turned] = -1
