@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import select
 import signal
 import subprocess
 import sys
@@ -45,38 +44,37 @@ def photos(tmp_path_factory):
     return folder
 
 
-def pressed(name, folder, seconds, last=None):
-    """Exit code as a shell tells it, what was said, and whether the command was done before Ctrl-C came.
-
-    It is done where it has ended, or has said its last line, which begins with the word ``last``.
-    """
+def pressed(name, folder, seconds):
+    """Exit code as a shell tells it, what was said, and whether the command was done before Ctrl-C came."""
     begun, begins = os.pipe()
     words = [word.format(f"out {name} {seconds:.3f}") for word in COMMANDS[name]]
     process = subprocess.Popen(["bash", "-c", f'exec "$@" 9>&{begins}', "bash", sys.executable, "-c", START,
                                 *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                                cwd=folder, pass_fds=(begins,), start_new_session=True, env=os.environ
-                               | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"})
+                               | {"PYTHONPATH": str(ROOT)})
     os.close(begins)
     os.read(begun, 1)
     os.close(begun)
     time.sleep(seconds)
     if process.poll() is not None:  # sooner done than when its time was taken
         return process.returncode, process.communicate()[1], True
-    heard = select.select([process.stdout], [], [], 0)[0]
-    lines = os.read(process.stdout.fileno(), 1 << 16).decode().splitlines() if heard else []
     os.killpg(process.pid, signal.SIGINT)
     said = process.communicate(timeout=120)[1]
-    return (process.returncode if process.returncode >= 0 else 128 - process.returncode, said,
-            last is not None and any(line.startswith(last) for line in lines))
+    return process.returncode if process.returncode >= 0 else 128 - process.returncode, said, False
 
 
-def undisturbed(name, folder):
-    """Seconds of the command that is let be, of a long one of its start; the first word of its last line."""
-    begun = time.perf_counter()
-    words = [word.format(f"out {name}") for word in COMMANDS[name]]
-    said = subprocess.run([sys.executable, "-m", "mitsvbrdf", *words], cwd=folder, capture_output=True,
-                          text=True, timeout=300, env=os.environ | {"PYTHONPATH": str(ROOT)}).stdout
-    return min(time.perf_counter() - begun, 8.0), said.splitlines()[-1].split()[0]
+def seconds_of(name, folder):
+    """How long the command runs that is let be; of a long one, what surely is its start.
+
+    The second run counts: the first one, in a new place, compiles, and takes up to three times as long. Its
+    moments would lie in the work behind the start, where Ctrl-C saves what there is.
+    """
+    for run in range(2):
+        begun = time.perf_counter()
+        words = [word.format(f"out {name} {run}") for word in COMMANDS[name]]
+        subprocess.run([sys.executable, "-m", "mitsvbrdf", *words], cwd=folder, capture_output=True,
+                       timeout=300, env=os.environ | {"PYTHONPATH": str(ROOT)})
+    return min(time.perf_counter() - begun, 8.0)
 
 
 def quiet(found):
@@ -93,7 +91,7 @@ def test_ctrl_c_in_the_first_moments(tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 def test_ctrl_c_at_many_moments_of_the_start(name, photos):
-    whole, last = undisturbed(name, photos)
-    found = [pressed(name, photos, 0.7 * whole * share / MOMENTS, last) for share in range(MOMENTS)]
+    whole = seconds_of(name, photos)
+    found = [pressed(name, photos, 0.7 * whole * share / MOMENTS) for share in range(MOMENTS)]
     assert all(map(quiet, found)), [each for each in found if not quiet(each)]
     assert sum(over for *_, over in found) <= MOMENTS / 2
