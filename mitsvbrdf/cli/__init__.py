@@ -52,13 +52,12 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _interruptible(arguments: list[str]) -> int:
-    """Run a command. A mistake that comes before a Ctrl-C could be raised counts as that Ctrl-C."""
+    """Run a command. A mistake or an end that comes before a Ctrl-C could be raised counts as that Ctrl-C."""
     try:
         return _run(arguments)
-    except Exception as mistake:
+    finally:
         if still_waiting():
-            raise KeyboardInterrupt from mistake
-        raise
+            raise KeyboardInterrupt
 
 
 def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:

@@ -35,9 +35,10 @@ def interrupt(number: int, frame: FrameType | None) -> None:
 
 def still_waiting() -> bool:
     """Whether a Ctrl-C met an import and was not raised yet; it is not tried again then."""
-    for again in _waiting:
+    waited, _waiting[:] = _waiting[:], []
+    for again in waited:
         again.cancel()
-    return bool(_waiting)
+    return bool(waited)
 
 
 def _to_main_thread(number: int) -> None:

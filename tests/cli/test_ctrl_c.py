@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import importlib.abc
+import importlib.util
 import os
 import signal
 import subprocess
@@ -12,6 +14,7 @@ import pytest
 from helpers import ROOT
 
 from mitsvbrdf import cli
+from mitsvbrdf.io import signals
 
 COMMANDS = {
     "fit": ["fit", "photos", "-o", "{}"], "guess": ["guess", "photos", "-o", "{}"],
@@ -86,6 +89,33 @@ def test_ctrl_c_in_the_first_moments(tmp_path):
     for name, seconds in (("fit", 0.0), ("fit", 0.05), ("doctor", 0.1), ("render", 0.3), ("fit", 0.5)):
         found = pressed(name, tmp_path, seconds)
         assert quiet(found), (name, seconds, found)
+
+
+@pytest.mark.parametrize("end", [lambda: 0, lambda: 1 / 0])
+def test_ctrl_c_that_met_the_last_import_of_a_command_counts(end, monkeypatch, capsys):
+    def run(arguments):
+        importlib.import_module("waits_for_ctrl_c")
+        return end()
+
+    class Module(importlib.abc.MetaPathFinder, importlib.abc.Loader):
+        """Ctrl-C is pressed while it loads."""
+
+        def find_spec(self, name, *_):
+            return importlib.util.spec_from_loader(name, self) if name == "waits_for_ctrl_c" else None
+
+        def exec_module(self, module):
+            signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(signals, "AGAIN", 60.0)  # seconds; the command ends sooner
+    monkeypatch.setattr(sys, "meta_path", [Module(), *sys.meta_path])
+    monkeypatch.setattr(cli, "_run", run)
+    monkeypatch.delitem(sys.modules, "waits_for_ctrl_c", raising=False)
+    before = signal.signal(signal.SIGINT, signals.interrupt)
+    try:
+        assert cli.main(["doctor"]) == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert capsys.readouterr().err == "interrupted\n"
 
 
 @pytest.mark.slow
