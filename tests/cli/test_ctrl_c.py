@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.abc
 import importlib.util
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -23,6 +24,8 @@ COMMANDS = {
     "export": ["export", "builtin:tiles", "-o", "{}", "--to", "gltf"],
     "evaluate": ["evaluate", "builtin:tiles", "--capture", "photos", "--renderer", "mitsuba"],
     "crosscheck": ["crosscheck", "--resolution", "16"], "doctor": ["doctor"]}
+# the line with which the work begins, which saves what there is (tests of fit and relight hold that)
+WORK = {"fit": "fit photos", "relight": "relight tiles"}
 MOMENTS = int(os.environ.get("MITSVBRDF_MOMENTS", "6"))  # of each command; 50 take half an hour
 # Says when our code listens: what Ctrl-C does while Python itself starts is not ours to say.
 START = """
@@ -48,22 +51,24 @@ def photos(tmp_path_factory):
 
 
 def pressed(name, folder, seconds):
-    """Exit code as a shell tells it, what was said, and whether the command was done before Ctrl-C came."""
+    """Exit code as a shell tells it, what was said, and whether the start was over before Ctrl-C came."""
     begun, begins = os.pipe()
     words = [word.format(f"out {name} {seconds:.3f}") for word in COMMANDS[name]]
     process = subprocess.Popen(["bash", "-c", f'exec "$@" 9>&{begins}', "bash", sys.executable, "-c", START,
                                 *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
                                cwd=folder, pass_fds=(begins,), start_new_session=True, env=os.environ
-                               | {"PYTHONPATH": str(ROOT)})
+                               | {"PYTHONPATH": str(ROOT), "PYTHONUNBUFFERED": "1"})
     os.close(begins)
     os.read(begun, 1)
     os.close(begun)
     time.sleep(seconds)
     if process.poll() is not None:  # sooner done than when its time was taken
         return process.returncode, process.communicate()[1], True
+    printed = select.select([process.stdout], [], [], 0)[0] and os.read(process.stdout.fileno(), 1 << 16)
     os.killpg(process.pid, signal.SIGINT)
     said = process.communicate(timeout=120)[1]
-    return process.returncode if process.returncode >= 0 else 128 - process.returncode, said, False
+    return (process.returncode if process.returncode >= 0 else 128 - process.returncode, said,
+            bool(printed) and name in WORK and WORK[name].encode() in printed)
 
 
 def seconds_of(name, folder):
