@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -15,25 +14,7 @@ from ..io import files
 from ..io.progress import print_numbers, say, say_written
 from ..render import RendererName, make_renderer
 from ..views import photo_numbers
-from .options import (
-    JsonFile,
-    MapEncoding,
-    MapNormal,
-    Out,
-    Overwrite,
-    Reference,
-    Strict,
-    TransferOption,
-    Variant,
-    ViewList,
-    check_new_files,
-    check_side,
-    fit_of_maps,
-    material_of,
-    name_of,
-    read_as,
-    read_photos,
-)
+from . import options
 
 if TYPE_CHECKING:
     from ..evaluate.compare import Entry
@@ -44,17 +25,17 @@ LARGEST_SIDE = 256  # pixels a side, where nothing else is asked for
 def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", help=(
                 "Folders of maps, published or the OUT of fits, or builtin:NAME. NAME= sets the caption. "
                 "Default: the folder's name."))]],
-            capture: Annotated[Path, arg(metavar="CAPTURE", help="The photos.")], out: Out,
-            reference: Reference = None, encoding: MapEncoding = (), normal: MapNormal = "auto",
-            views: ViewList = None,
+            capture: Annotated[Path, arg(metavar="CAPTURE", help="The photos.")], out: options.Out,
+            reference: options.Reference = None, encoding: options.MapEncoding = (),
+            normal: options.MapNormal = "auto", views: options.ViewList = None,
             resolution: Annotated[int | None, arg(
                 help="Side of photos and maps. Default: the smallest among them, at most 256.")] = None,
-            renderer: RendererName = "mitsuba", transfer: Annotated[TransferOption, arg(
+            renderer: RendererName = "mitsuba", transfer: Annotated[options.TransferOption, arg(
                 help="Encoding of light in photos. auto: as in each fit.")] = "auto",
             refine_views: Annotated[bool, arg(
                 help="Measure again with camera, flash and exposure of each photo refined.")] = False,
-            json_file: JsonFile = None, variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False,
-            strict: Strict = False) -> int:
+            json_file: options.JsonFile = None, variant: options.Variant = "llvm_ad_rgb",
+            overwrite: options.Overwrite = False, strict: options.Strict = False) -> int:
     """Show maps of several methods side by side, with errors, and every photo beside its re-renderings.
 
     `mitsvbrdf compare out materialgan=captures/wood/materialgan --capture captures/wood -o page.html` writes
@@ -62,29 +43,27 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
     others as `mitsvbrdf evaluate` does.
     """
     from ..calibrate.refine import Priors
-    from ..evaluate import evaluate_maps
     from ..evaluate.compare import compare as measure
-    from ..measure.metrics import map_rmse
     from ..report.compare_page import write_compare_page
 
     if not maps:
         raise ConfigError("one or more folders of maps", "none", "name them before --capture")
-    check_side(resolution)
+    options.check_side(resolution)
     sources = [*map(_folder, maps), reference]
-    check_new_files(out, json_file, overwrite=overwrite, photos=capture, read=sources)
+    options.check_new_files(out, json_file, overwrite=overwrite, photos=capture, read=sources)
     read = ((), "auto") if reference else (encoding, normal)
     entries = [_entry(text, resolution or LARGEST_SIDE, *read) for text in maps]
     size = resolution or min(LARGEST_SIDE, *(entry.svbrdf.resolution for entry in entries))
-    photos, chosen = read_photos(capture, size, None, transfer, "inverse-square"), photo_numbers(views)
+    photos = options.read_photos(capture, size, None, transfer, "inverse-square")
+    chosen = photo_numbers(views)
     shots = photos if chosen is None else photos.pick(chosen)
     for entry in entries:
         if entry.svbrdf.resolution != shots.resolution:
             say(f"{entry.name}: maps of {entry.svbrdf.resolution} px are compared at {shots.resolution} px")
-    known, map_errors, decoded = None, None, read_as(encoding, normal)
+    known, map_errors = None, None
     if reference is not None:
-        known = material_of(reference, shots.resolution, encoding, normal)
-        map_errors = partial(map_rmse, reference=known) if reference.startswith("builtin:") else partial(
-            evaluate_maps, material=reference, encoding=decoded[0], normal=decoded[1])
+        known = options.material_of(reference, shots.resolution, encoding, normal)
+        map_errors = options.errors_against(reference, shots.resolution, encoding, normal)
     record, pictures = measure(entries, photos, make_renderer(renderer, variant), map_errors,
                                None if transfer == "auto" else transfer, Priors() if refine_views else None,
                                shots.index)
@@ -101,13 +80,14 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
     return 0
 
 
-def _entry(text: str, resolution: int, encoding: MapEncoding, normal: MapNormal) -> Entry:
+def _entry(text: str, resolution: int, encoding: options.MapEncoding, normal: options.MapNormal) -> Entry:
     """Maps, name and fit of ``[NAME=]MAPS``; the folder is the name of maps without one."""
     from ..evaluate.compare import Entry
 
     maps = _folder(text)
-    name = text[:len(text) - len(maps)].removesuffix("=") or name_of(maps)
-    return Entry(name, maps, material_of(maps, resolution, encoding, normal), fit_of_maps(maps))
+    name = text[:len(text) - len(maps)].removesuffix("=") or options.name_of(maps)
+    svbrdf = options.material_of(maps, resolution, encoding, normal)
+    return Entry(name, maps, svbrdf, options.fit_of_maps(maps))
 
 
 def _folder(text: str) -> str:

@@ -10,61 +10,54 @@ from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from ..color import Transfer
 from ..errors import ConfigError
 from ..io import files
 from ..io.progress import print_rich, progress_bar, say, say_written
-from ..material.maps import SVBRDF, Bsdf
+from ..material.maps import Bsdf
 from ..render import RENDERERS, make_renderer
-from ..views import Falloff, shift_lights
-from .options import (
-    JsonFile,
-    MapEncoding,
-    MapNormal,
-    Overwrite,
-    Variant,
-    ViewSource,
-    check_new_files,
-    check_side,
-    fit_of_maps,
-    material_of,
-    name_of,
-    views_of,
-)
+from ..views import shift_lights
+from . import options
 
 
 def crosscheck(
     maps: Positional[Annotated[str | None, arg(metavar="MAPS", help=(
         "A folder of maps, the OUT of a fit, or builtin:NAME. Default: made materials and corner cases."))]
     ] = None,
-    views: ViewSource = "builtin:grid", encoding: MapEncoding = (), normal: MapNormal = "auto",
+    views: options.ViewSource = "builtin:grid", encoding: options.MapEncoding = (),
+    normal: options.MapNormal = "auto",
     bsdf: Annotated[Literal["all", "roughconductor", "principled"],
                     arg(help="BSDF to render with. The maps are converted to it.")] = "all",
     renderer: Annotated[Literal["all", "mitsuba", "mitsuba-scene", "analytic"],
                         arg(help="Which renderer to compare.")] = "all",
-    json_file: JsonFile = None,
+    json_file: options.JsonFile = None,
     html_file: Annotated[Path | None, arg(
         name="html", help="Write a page with figures, plot and error maps.")] = None,
     repeats: Annotated[int, arg(help="Timed passes of each configuration, in turn with all others.")] = 5,
     resolution: Annotated[int | None, arg(
         help="Side of the maps, by area averages. Default: 256; 128 for the built-in set.")] = None,
-    variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False,
+    variant: options.Variant = "llvm_ad_rgb", overwrite: options.Overwrite = False,
 ) -> int:
     """Compare every renderer and BSDF with the float64 twin: images, gradients, run time.
 
     The exit code is 1 when a stated tolerance does not hold. docs/evaluation.md explains the figures.
     """
+    from ..material.corner_cases import builtin_materials
     from ..report.page import figure
     from ..verify import crosscheck as checks
 
     if repeats < 1:
         raise ConfigError("--repeats of 1 or more", str(repeats), "try 5")
-    check_side(resolution)
-    check_new_files(json_file, html_file, overwrite=overwrite, read=[maps], photos=views)
-    materials, falloff, offset, transfer = _materials(maps, resolution, encoding, normal)
-    names, lit = views_of(views, falloff)
+    options.check_side(resolution)
+    options.check_new_files(json_file, html_file, overwrite=overwrite, read=[maps], photos=views)
+    fit = options.fit_of_maps(maps)
+    if maps is None:
+        materials = builtin_materials(resolution or 128)
+    else:
+        svbrdf = options.material_of(maps, resolution or 256, encoding, normal)
+        materials = {options.name_of(maps): svbrdf.resized(min(resolution or 256, svbrdf.resolution))}
+    names, lit = options.views_of(views, fit.falloff)
     say(f"{len(names)} views of {views}")
-    if offset:
+    if offset := fit.flash_offset:
         say(f"with the flash offset of the fit, ({offset[0]:.3f}, {offset[1]:.3f}) patch sides")
     lit = shift_lights(lit, offset)
     bsdfs: list[Bsdf] = list(get_args(Bsdf)) if bsdf == "all" else [bsdf]
@@ -73,8 +66,9 @@ def crosscheck(
     command = {"maps": maps and Path(maps).name, "views": Path(views).name, "bsdf": bsdf,
                "renderer": renderer, "repeats": repeats, "resolution": resolution, "variant": variant}
     with progress_bar("crosscheck") as report:
-        record = checks.crosscheck(materials, lit, bsdfs, renderers, repeats, names=names, transfer=transfer,
-                                   error_maps=error_maps, report=report, command=command)
+        record = checks.crosscheck(materials, lit, bsdfs, renderers, repeats, names=names,
+                                   transfer=fit.transfer or "gamma2.2", error_maps=error_maps, report=report,
+                                   command=command)
     if json_file:
         files.write_json(json_file, record)
     if html_file:
@@ -89,20 +83,6 @@ def crosscheck(
     count = len(record["violations"])
     say(f"{count} figures exceed the stated tolerances" if count else "all stated tolerances hold")
     return 1 if count else 0
-
-
-def _materials(maps: str | None, resolution: int | None, encoding: MapEncoding, normal: MapNormal,
-               ) -> tuple[dict[str, SVBRDF], Falloff, tuple[float, float] | None, Transfer]:
-    """Materials by name, and falloff, flash offset and transfer of their fit (or the defaults)."""
-    from ..material.corner_cases import builtin_materials
-
-    fit = fit_of_maps(maps)
-    if maps is None:
-        materials = builtin_materials(resolution or 128)
-    else:
-        svbrdf = material_of(maps, resolution or 256, encoding, normal)
-        materials = {name_of(maps): svbrdf.resized(min(resolution or 256, svbrdf.resolution))}
-    return materials, fit.falloff, fit.flash_offset, fit.transfer or "gamma2.2"
 
 
 def _print(record: dict) -> None:

@@ -14,40 +14,24 @@ from ..io import files
 from ..io.progress import print_numbers, say, say_written
 from ..render import RendererName, make_renderer
 from ..views import photo_numbers
-from .options import (
-    FalloffOption,
-    JsonFile,
-    MapEncoding,
-    MapNormal,
-    Material,
-    Overwrite,
-    Reference,
-    Strict,
-    TransferOption,
-    Variant,
-    ViewList,
-    check_new_files,
-    fit_of_maps,
-    material_of,
-    read_as,
-    read_photos,
-)
+from . import options
 
 
-def evaluate(maps: Positional[Material], reference: Reference = None,
-             encoding: MapEncoding = (), normal: MapNormal = "auto",
+def evaluate(maps: Positional[options.Material], reference: options.Reference = None,
+             encoding: options.MapEncoding = (), normal: options.MapNormal = "auto",
              capture: Annotated[Path | None, arg(metavar="CAPTURE", help="Photos to compare with.")] = None,
-             views: ViewList = None,
+             views: options.ViewList = None,
              resolution: Annotated[int | None, arg(
                  help="Side of the photos. Default: that of the maps.")] = None,
-             renderer: RendererName = "mitsuba", transfer: TransferOption = "auto",
-             falloff: Annotated[FalloffOption, arg(help="Falloff of light. auto: as in the fit.")] = "auto",
+             renderer: RendererName = "mitsuba", transfer: options.TransferOption = "auto",
+             falloff: Annotated[options.FalloffOption, arg(
+                 help="Falloff of light. auto: as in the fit.")] = "auto",
              flash_offset: Annotated[Literal["fitted", "none"], arg(
                  help="fitted: use the flash offset that the fit found.")] = "fitted",
              refine_views: Annotated[bool, arg(
                  help="Measure again with camera, flash and exposure of each photo refined.")] = False,
-             json_file: JsonFile = None, variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False,
-             strict: Strict = False) -> int:
+             json_file: options.JsonFile = None, variant: options.Variant = "llvm_ad_rgb",
+             overwrite: options.Overwrite = False, strict: options.Strict = False) -> int:
     """Measure maps: against known maps (--reference) or against photos (--capture).
 
     Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as
@@ -61,30 +45,27 @@ def evaluate(maps: Positional[Material], reference: Reference = None,
     camera, flash and exposure of each photo refined within priors, and prints how far they moved.
     """
     from ..calibrate.refine import Priors
-    from ..evaluate import evaluate_maps, placed
+    from ..evaluate import placed
     from ..evaluate.photos import evaluate_photos
     from ..measure.burn_in import burn_in, local_burn_in
-    from ..measure.metrics import map_rmse
 
     if (reference is None) == (capture is None):
         raise ConfigError("either --reference or --capture", "both" if reference else "neither", "give one")
     if refine_views and capture is None:
         raise ConfigError("--capture beside --refine-views", "--reference", "give the photos to refine")
-    check_new_files(json_file, overwrite=overwrite, photos=capture, read=[maps, reference])
-    svbrdf = material_of(maps) if reference else material_of(maps, 256, encoding, normal)
+    options.check_new_files(json_file, overwrite=overwrite, photos=capture, read=[maps, reference])
+    svbrdf = options.material_of(maps) if reference else options.material_of(maps, 256, encoding, normal)
     found: dict[str, Any]
     if reference is not None:
-        found = (map_rmse(svbrdf, material_of(reference, 256, encoding, normal))
-                 if reference.startswith("builtin:")
-                 else evaluate_maps(svbrdf, reference, *read_as(encoding, normal)))
+        found = options.errors_against(reference, 256, encoding, normal)(svbrdf)
         print_numbers("Map RMSE", found)
     elif capture is not None:
-        fit = fit_of_maps(maps)
+        fit = options.fit_of_maps(maps)
         if flash_offset == "none":
             fit = fit.but(flash_offset=None)
         transfer = fit.transfer or "auto" if transfer == "auto" else transfer
         chosen = photo_numbers(views)
-        photos = read_photos(capture, resolution or svbrdf.resolution, None, transfer,
+        photos = options.read_photos(capture, resolution or svbrdf.resolution, None, transfer,
                              fit.falloff if falloff == "auto" else falloff)
         shots = placed(photos, fit)
         for note in shots.notes[len(photos.notes):]:

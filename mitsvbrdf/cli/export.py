@@ -14,17 +14,7 @@ from ..export import FORMATS, check_options, export_material
 from ..export.textures import Bits, Export, ExportSettings, Naming, NormalConvention
 from ..io import images, results
 from ..io.progress import say
-from .options import (
-    MapEncoding,
-    Material,
-    Overwrite,
-    Strict,
-    fit_of_maps,
-    folder_inside,
-    keep_apart_from_maps,
-    material_of,
-    name_of,
-)
+from . import options
 
 if TYPE_CHECKING:
     from ..material.maps import SVBRDF
@@ -34,9 +24,9 @@ SMALLEST, LARGEST = 1e-3, 1e6  # side of a patch, centimetres
 
 
 def export(
-    maps: Positional[Material],
+    maps: Positional[options.Material],
     to: Annotated[str, arg(metavar="FORMAT,...", help=f"Any of {', '.join(FORMATS)}.")] = ",".join(FORMATS),
-    encoding: MapEncoding = (),
+    encoding: options.MapEncoding = (),
     naming: Annotated[Naming, arg(help="File names of the maps format.")] = "own",
     normal: Annotated[NormalConvention, arg(
         help="Normals of the maps format: gl is +Y up, dx +Y down.")] = "gl",
@@ -53,7 +43,7 @@ def export(
     zip: Annotated[bool, arg(help="Also write each format's folder as FORMAT.zip.")] = False,
     out: Annotated[Path | None, arg(
         aliases=["-o"], help="Folder to write. Default: export inside MAPS.")] = None,
-    overwrite: Overwrite = False, strict: Strict = False,
+    overwrite: options.Overwrite = False, strict: options.Strict = False,
 ) -> int:
     """Write a material for other programs: OUT/FORMAT/, with an export.json that states what each file holds.
 
@@ -63,7 +53,8 @@ def export(
     under three lights in display values.
     """
     formats = [part.strip() for part in to.split(",")]
-    settings = ExportSettings(name_of(maps), naming, normal, bits, licence=licence or None, repeats=tile)
+    settings = ExportSettings(options.name_of(maps), naming, normal, bits, licence=licence or None,
+                              repeats=tile)
     check_options(formats, settings)
     if side_cm is not None and not SMALLEST <= side_cm <= LARGEST:
         raise ConfigError(f"a side of {SMALLEST:g} to {LARGEST:g} cm", f"--side-cm {side_cm:g}",
@@ -71,10 +62,10 @@ def export(
     builtin = maps.startswith("builtin:")
     if out is None and (builtin or Path(maps).is_file()):
         raise ConfigError(f"an output folder beside {maps}, which is no folder", "none", "add -o FOLDER")
-    out = out or folder_inside(Path(maps), "export")
-    svbrdf, fit = material_of(maps, 256, encoding), fit_of_maps(maps)
+    out = out or options.folder_inside(Path(maps), "export")
+    svbrdf, fit = options.material_of(maps, 256, encoding), options.fit_of_maps(maps)
     side = side_cm / 100 if side_cm is not None else fit.side_metres
-    keep_apart_from_maps(maps, out)
+    options.keep_apart_from_maps(maps, out)
     if tile:
         svbrdf, side = _tiled(svbrdf, side)
     with results.output_folder(out, overwrite) as folder:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -173,12 +173,20 @@ def material_of(name: str, resolution: int = 256, encoding: MapEncoding = (),
         if encoding or normal != "auto":
             raise ConfigError("files beside --encoding or --normal", name, "leave these options out")
         return make_material(name.removeprefix("builtin:"), resolution)
-    return load_maps(name, None, *read_as(encoding, normal))
+    return load_maps(name, None, ",".join(encoding) or None, None if normal == "auto" else normal)
 
 
-def read_as(encoding: MapEncoding, normal: MapNormal) -> tuple[str | None, Literal["gl", "dx"] | None]:
-    """``encoding`` and ``normal`` of :func:`~mitsvbrdf.material.map_files.load_maps`, of the options."""
-    return ",".join(encoding) or None, None if normal == "auto" else normal
+def errors_against(reference: str, resolution: int, encoding: MapEncoding,
+                   normal: MapNormal) -> Callable[[SVBRDF], dict[str, float]]:
+    """Gives the RMSE of maps against known ones: a folder, or ``builtin:NAME`` made at this resolution."""
+    from ..evaluate import evaluate_maps
+    from ..measure.metrics import map_rmse
+
+    if reference.startswith("builtin:"):
+        known = material_of(reference, resolution, encoding, normal)
+        return lambda maps: map_rmse(maps, known)
+    return lambda maps: evaluate_maps(maps, reference, ",".join(encoding) or None,
+                                      None if normal == "auto" else normal)
 
 
 def views_of(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views]:

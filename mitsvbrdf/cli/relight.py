@@ -14,19 +14,7 @@ from ..io import results
 from ..io.files import file_hash
 from ..io.progress import progress_bar, say
 from ..io.signals import stop_signals
-from .options import (
-    MapEncoding,
-    MapNormal,
-    Material,
-    Overwrite,
-    Strict,
-    Variant,
-    fit_of_maps,
-    folder_inside,
-    keep_apart_from_maps,
-    material_of,
-    name_of,
-)
+from . import options
 
 if TYPE_CHECKING:
     from ..relight.frames import Record
@@ -38,7 +26,8 @@ MOVIES = ("mp4", "gif")
 
 
 def relight(
-    maps: Positional[Material], encoding: MapEncoding = (), normal: MapNormal = "auto",
+    maps: Positional[options.Material], encoding: options.MapEncoding = (),
+    normal: options.MapNormal = "auto",
     preset: Annotated[str, arg(
         metavar="PRESET,...", help="sphere, shaderball, novel, sweep, turntable; or all.")] = "sphere",
     environment: Annotated[str | None, arg(
@@ -58,11 +47,11 @@ def relight(
         metavar="mp4,gif|none", help="Movies to make of the frames. Each frame also stays as EXR.")] = "mp4",
     out: Annotated[Path | None, arg(
         aliases=["-o"], help="Folder to write. Default: relight inside MAPS.")] = None,
-    seed: int = 0, variant: Variant = "llvm_ad_rgb",
+    seed: int = 0, variant: options.Variant = "llvm_ad_rgb",
     explain: Annotated[bool, arg(help="Print what is omitted, and why, without rendering.")] = False,
     resume: Annotated[bool, arg(
         help="Render the missing frames of an earlier run with the same options.")] = False,
-    overwrite: Overwrite = False, strict: Strict = False,
+    overwrite: options.Overwrite = False, strict: options.Strict = False,
 ) -> int:
     """Show a material under other light, path traced with Mitsuba.
 
@@ -89,8 +78,8 @@ def relight(
     builtin = maps.startswith("builtin:")
     if builtin and out is None and not explain:
         raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
-    out = out or folder_inside(Path(maps), "relight")
-    svbrdf, fit = material_of(maps, 256, encoding, normal), fit_of_maps(maps)
+    out = out or options.folder_inside(Path(maps), "relight")
+    svbrdf, fit = options.material_of(maps, 256, encoding, normal), options.fit_of_maps(maps)
     with using_mitsuba(variant) as mi:
         stages = [make_stage(mi, svbrdf, each, environment=environment, size=pixels, frames=frames,
                              tiling=tiling, views=fit.known_views) for each in chosen]
@@ -101,7 +90,7 @@ def relight(
             return 0
         if "mp4" in kinds and any(stage.frames > 1 for stage in stages):
             av_module()
-        keep_apart_from_maps(maps, out)
+        options.keep_apart_from_maps(maps, out)
         views = fit.known_views
         lit = (views.camera, views.light, views.intensity) if views else ()
         sky = file_hash(Path(environment)) if environment and os.path.isfile(environment) else None
@@ -116,7 +105,7 @@ def relight(
             def done(stage: Stage) -> None:
                 _finish(stage, record, folder, kinds, exposure, stop)
 
-            with stop_signals() as stopping, progress_bar(f"relight {name_of(maps)}") as report:
+            with stop_signals() as stopping, progress_bar(f"relight {options.name_of(maps)}") as report:
                 whole = render_stages(mi, stages, stop, record, folder, seed=seed, exposure=exposure,
                                       report=report, done=done, interrupted=stopping)
         if not whole:

@@ -14,55 +14,40 @@ from ..io.progress import say
 from ..material.map_files import MAP_FOLDERS
 from ..material.maps import SVBRDF
 from ..render import RendererName, make_renderer
-from .options import (
-    FalloffOption,
-    MapEncoding,
-    MapNormal,
-    Material,
-    Out,
-    Overwrite,
-    Strict,
-    TransferOption,
-    Variant,
-    ViewSource,
-    fit_of_maps,
-    keep_apart,
-    keep_apart_from_maps,
-    material_of,
-    name_of,
-    views_of,
-)
+from . import options
 
 
 def render(
-    maps: Positional[Material], out: Out, views: ViewSource = "builtin:grid",
-    encoding: MapEncoding = (), normal: MapNormal = "auto",
+    maps: Positional[options.Material], out: options.Out, views: options.ViewSource = "builtin:grid",
+    encoding: options.MapEncoding = (), normal: options.MapNormal = "auto",
     renderer: RendererName = "mitsuba",
-    falloff: Annotated[FalloffOption, arg(help="Falloff of the light. auto: as in the fit.")] = "auto",
-    transfer: Annotated[TransferOption,
+    falloff: Annotated[options.FalloffOption, arg(
+        help="Falloff of the light. auto: as in the fit.")] = "auto",
+    transfer: Annotated[options.TransferOption,
                         arg(help="Transfer function of the PNG files. auto: as in the fit.")] = "auto",
     flash_offset: Annotated[Literal["fitted", "none"],
                             arg(help="fitted: the light stands where the fit found it.")] = "none",
     diffuse: Annotated[Literal["fitted", "guessed"],
                        arg(help="guessed: the fit's guessed diffuse map instead (paper IV.B).")] = "fitted",
-    variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False, strict: Strict = False,
+    variant: options.Variant = "llvm_ad_rgb", overwrite: options.Overwrite = False,
+    strict: options.Strict = False,
 ) -> int:
     """Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear)."""
     from ..views import shift_lights
 
-    keep_apart(Path(views), out)
-    keep_apart_from_maps(maps, out)
-    svbrdf, fit = material_of(maps, 256, encoding, normal), fit_of_maps(maps)
+    options.keep_apart(Path(views), out)
+    options.keep_apart_from_maps(maps, out)
+    svbrdf, fit = options.material_of(maps, 256, encoding, normal), options.fit_of_maps(maps)
     if diffuse == "guessed":
         svbrdf = _with_guessed_diffuse(svbrdf, Path(maps))
-    names, lit = views_of(views, fit.falloff if falloff == "auto" else falloff, fit)
+    names, lit = options.views_of(views, fit.falloff if falloff == "auto" else falloff, fit)
     lit = shift_lights(lit, fit.flash_offset if flash_offset == "fitted" else None)
     transfer = (fit.transfer or "gamma2.2") if transfer == "auto" else transfer
     engine = make_renderer(renderer, variant)
     with results.output_folder(out, overwrite) as folder:
         for name, image in zip(names, engine.render(svbrdf, lit)):
             images.write_linear(folder / name, image, color.to_display(image, transfer))
-    say(f"wrote {len(names)} images of {name_of(maps)} to {out}")
+    say(f"wrote {len(names)} images of {options.name_of(maps)} to {out}")
     return 0
 
 

@@ -16,45 +16,33 @@ from ..fit.config import check_seed
 from ..io import results
 from ..io.progress import say
 from ..material.maps import SVBRDF
-from ..render import Renderer, RendererName, make_renderer
+from ..render import RendererName, make_renderer
 from ..synth import photograph
 from ..synth.phone import HandheldPhone, Spoil
 from ..synth.photos import write_handheld
-from .options import (
-    MapEncoding,
-    MapNormal,
-    Material,
-    Out,
-    Overwrite,
-    Variant,
-    ViewSource,
-    keep_apart,
-    keep_apart_from_maps,
-    material_of,
-    name_of,
-    views_of,
-)
+from . import options
 
 RECTIFIED_SIDE, MADE_SIDE = 256, 1024  # defaults of --resolution
 PHONE = HandheldPhone()
 
 
 def synth(
-    material: Positional[Material], out: Out, phone: OmitArgPrefixes[HandheldPhone] = PHONE,
+    material: Positional[options.Material], out: options.Out, phone: OmitArgPrefixes[HandheldPhone] = PHONE,
     handheld: Annotated[bool, arg(help=(
         "Take raw photos with a simulated phone, for `mitsvbrdf capture`: OUT/IMG_0001.jpg and so on, and "
         "the truth in OUT/truth. The options of the phone need this one."))] = False,
     spoil: Annotated[str, arg(metavar="KIND,KIND,...", help=(
         "With --handheld: add photos of the kinds blurred, finger, noflash, duplicate, rotated, unrelated."))
         ] = "",
-    encoding: MapEncoding = (), normal: MapNormal = "auto", views: ViewSource = "builtin:grid",
+    encoding: options.MapEncoding = (), normal: options.MapNormal = "auto",
+    views: options.ViewSource = "builtin:grid",
     resolution: Annotated[int | None, arg(help=(
         "Side of the photos in pixels; with --handheld side of builtin maps. Default: 256; with "
         "--handheld 1024."))] = None,
     noise: Annotated[float, arg(help=(
         "Standard deviation of the sensor noise of rectified photos, in linear radiance."))] = 0.0,
     renderer: RendererName = "mitsuba", transfer: color.Transfer = "gamma2.2",
-    variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False,
+    variant: options.Variant = "llvm_ad_rgb", overwrite: options.Overwrite = False,
 ) -> int:
     """Take photos of known maps: rectified photos with their calibration, or raw photos of a simulated phone.
 
@@ -63,17 +51,17 @@ def synth(
     material.
     """
     check_seed(phone.seed)
-    keep_apart_from_maps(material, out)
+    options.keep_apart_from_maps(material, out)
     if handheld:
         unused = {"--views": views != "builtin:grid", "--noise": noise != 0,
                   "--renderer": renderer != "mitsuba", "--transfer": transfer != "gamma2.2"}
         if given := [name for name, is_given in unused.items() if is_given]:
             raise ConfigError("options of the phone beside --handheld", ", ".join(given),
                               "leave these out; --grain is the phone's noise")
-        resolution = MADE_SIDE if resolution is None else resolution
         phone.check()
-        svbrdf = material_of(material, MADE_SIDE if resolution is None else resolution, encoding, normal)
-        return _handheld(svbrdf, name_of(material), out, phone, spoil, variant, overwrite)
+        svbrdf = options.material_of(material, MADE_SIDE if resolution is None else resolution, encoding,
+                                     normal)
+        return _handheld(svbrdf, options.name_of(material), out, phone, spoil, variant, overwrite)
     given = [f"--{f.name.replace('_', '-')}" for f in fields(phone)
              if getattr(phone, f.name) != f.default and f.name != "seed"] + ["--spoil"] * bool(spoil)
     if given:
@@ -81,20 +69,16 @@ def synth(
                           "add --handheld, or leave these out")
     if not 0 <= noise <= 1:
         raise ConfigError("--noise from 0 to 1", str(noise), "give the standard deviation, e.g. 0.003")
-    keep_apart(Path(views), out)
+    options.keep_apart(Path(views), out)
     resolution = RECTIFIED_SIDE if resolution is None else resolution
-    return _rectified(material_of(material, resolution, encoding, normal), out, views, resolution, noise,
-                      phone.seed, make_renderer(renderer, variant), transfer, overwrite)
-
-
-def _rectified(svbrdf: SVBRDF, out: Path, views: str, resolution: int, noise: float, seed: int,
-               renderer: Renderer, transfer: color.Transfer, overwrite: bool) -> int:
-    names, lit = views_of(views, "inverse-square")
+    svbrdf = options.material_of(material, resolution, encoding, normal)
+    engine = make_renderer(renderer, variant)
+    names, lit = options.views_of(views, "inverse-square")
     if svbrdf.resolution < resolution:
         say(f"the maps have {svbrdf.resolution} px, so have the photos")
     svbrdf = svbrdf.resized(min(resolution, svbrdf.resolution))
     with results.output_folder(out, overwrite) as folder:
-        write_capture(photograph(svbrdf, lit, renderer, noise, seed, transfer), folder)
+        write_capture(photograph(svbrdf, lit, engine, noise, phone.seed, transfer), folder)
     say(f"wrote {len(names)} photos and capture.json to {out}")
     return 0
 
