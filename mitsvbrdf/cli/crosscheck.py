@@ -86,7 +86,7 @@ def crosscheck(
 
 
 def _print(record: dict) -> None:
-    from ..verify.findings import omitted
+    from ..verify.crosscheck import omitted
 
     for bsdf, how in dict.fromkeys(pair for m in record["materials"].values()
                                    for pair in m["converted"].items()):

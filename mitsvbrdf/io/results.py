@@ -19,29 +19,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from ..errors import OutputError
-from .files import (
-    check_output,
-    exchange,
-    file_lock,
-    in_use,
-    inside,
-    is_regular,
-    linked,
-    remove,
-    spare_name,
-    taken,
-    to_disk,
-    write_json,
-)
-from .manifest import (
-    MANIFEST,
-    derived,
-    derived_places,
-    files_of_others,
-    is_ours,
-    own_files,
-    serial_of,
-)
+from . import files
+from .manifest import MANIFEST, derived, derived_places, files_of_others, is_ours, own_files, serial_of
 from .progress import say
 from .signals import deferred_signals
 
@@ -81,7 +60,7 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False, keep: tuple[
     with contextlib.ExitStack() as stack:
         with _told(f"a place to write at {out}"):
             out.parent.mkdir(parents=True, exist_ok=True)
-            stack.enter_context(file_lock(out, GLANCE))
+            stack.enter_context(files.file_lock(out, GLANCE))
             _mend(out)
             _check_free(out, overwrite, resume, keep, add)
             _begin(out, staged, keep if resume else ())
@@ -105,16 +84,16 @@ def check_free(out: Path, overwrite: bool, resume: bool = False,
     """Raise OutputError now for what :func:`output_folder` would refuse; its arguments. Nothing is made."""
     out = Path(os.path.realpath(out))
     _check_free(out, overwrite, resume, keep)
-    check_output(partial_folder(out) / MANIFEST)
-    if in_use(out):
-        raise taken(out)
+    files.check_output(partial_folder(out) / MANIFEST)
+    if files.in_use(out):
+        raise files.taken(out)
 
 
 def checkpoints(out: Path) -> list[Path]:
     """Checkpoints to go on from: of the unfinished run, then of the finished fit in ``out``."""
     partial = partial_folder(out)
     places = [out] if _is_earlier(partial, out) else [partial, out]
-    return [place / CHECKPOINT for place in places if is_regular(place / CHECKPOINT)]
+    return [place / CHECKPOINT for place in places if files.is_regular(place / CHECKPOINT)]
 
 
 def _check_free(out: Path, overwrite: bool, resume: bool, keep: tuple[str, ...], add: bool = False) -> None:
@@ -128,9 +107,9 @@ def _check_free(out: Path, overwrite: bool, resume: bool, keep: tuple[str, ...],
         if out in (here := Path(os.getcwd()), *here.parents):
             raise OutputError("an output folder outside of which the command is called", str(out),
                               "type cd .. until you are above it, and name it from there")
-    for place in filter(None, (inside(out, name) for name in derived_places(out))):
-        if in_use(place):
-            raise taken(place)
+    for place in filter(None, (files.inside(out, name) for name in derived_places(out))):
+        if files.in_use(place):
+            raise files.taken(place)
     if out.is_dir() and not add:
         if not overwrite and any(out.iterdir()):
             raise OutputError("an empty or new output folder", f"{out}, which has results",
@@ -156,7 +135,7 @@ def _begin(out: Path, staged: Path, keep: tuple[str, ...]) -> None:
         _check_own(out, staged, keep)
         _empty(staged, () if _is_earlier(staged, out) else keep)
     staged.mkdir(exist_ok=True)
-    if not is_regular(staged / MANIFEST):  # in place from its first byte on: a kill leaves no folder without
+    if not files.is_regular(staged / MANIFEST):  # in place at once: a kill leaves no folder without
         (staged / MANIFEST).write_text(json.dumps({"serial": serial_of(out) + 1, "files": []}))
 
 
@@ -187,21 +166,21 @@ def _empty(folder: Path, keep: tuple[str, ...]) -> None:
     left = any(os.path.lexists(folder / name) for name in keep)
     for entry in sorted(folder.iterdir(), key=lambda entry: entry.name == MANIFEST):
         if entry.name not in (*keep, *([MANIFEST] if left else [])):
-            remove(entry)
+            files.remove(entry)
     if not left:
         folder.rmdir()
 
 
 def _put_in_place(out: Path, staged: Path, add: bool) -> None:
     """Write the manifest, have all on the disk, and exchange."""
-    new = sorted(str(path.relative_to(staged)) for path in staged.rglob("*") if is_regular(path))
+    new = sorted(str(path.relative_to(staged)) for path in staged.rglob("*") if files.is_regular(path))
     new.remove(MANIFEST)
     listed, serial = ({*own_files(out), *new}, serial_of(out)) if add else (new, serial_of(out) + 1)
     if add and out.is_dir():
         _link_rest(out, staged, new)
-    write_json(staged / MANIFEST, {"serial": serial, "files": sorted(listed)})
+    files.write_json(staged / MANIFEST, {"serial": serial, "files": sorted(listed)})
     for name in (*new, MANIFEST):
-        to_disk(staged / name)
+        files.to_disk(staged / name)
     folders = {staged, *(staged / parent for name in new for parent in Path(name).parents)}
     for folder in folders:
         _folder_to_disk(folder)
@@ -209,7 +188,7 @@ def _put_in_place(out: Path, staged: Path, add: bool) -> None:
         if not add:
             _check_ours(out)  # once more: what came meanwhile is not lost
         shutil.copymode(out, staged)
-        exchange(staged, out)
+        files.exchange(staged, out)
     else:
         os.rename(staged, out)
     _folder_to_disk(out.parent)
@@ -221,8 +200,9 @@ def _link_rest(out: Path, staged: Path, new: list[str]) -> None:
     for name in (*new, MANIFEST):
         for path in (Path(name), *list(Path(name).parents)[:-1]):
             there = out / path
-            if os.path.lexists(there) and not (str(path) in mine and is_regular(there) if str(path) == name
-                                               else there.is_dir() and not there.is_symlink()):
+            ours = (name in mine and files.is_regular(there) if str(path) == name
+                    else there.is_dir() and not there.is_symlink())
+            if os.path.lexists(there) and not ours:
                 raise OutputError("room for new files", f"{there}, which is not ours",
                                   "rename or move it away")
     for here, folders, names in os.walk(out):
@@ -233,7 +213,7 @@ def _link_rest(out: Path, staged: Path, new: list[str]) -> None:
         shutil.copystat(here, target)
         for name in (*names, *(name for name in folders if Path(here, name).is_symlink())):
             if not os.path.lexists(target / name):
-                linked(Path(here, name), target / name)
+                files.linked(Path(here, name), target / name)
 
 
 def _added(out: Path) -> Path:
@@ -242,7 +222,7 @@ def _added(out: Path) -> Path:
 
 def _mend(out: Path) -> None:
     """End what a kill left: of :func:`exchange` where that takes three renames, and of files to add."""
-    spare = spare_name(out)
+    spare = files.spare_name(out)
     if spare.is_dir() and not spare.is_symlink() and not os.path.lexists(out):
         os.rename(spare, out)
     for left in (spare, _added(out)):
@@ -268,4 +248,4 @@ def _told(expected: str) -> Iterator[None]:
 
 def _folder_to_disk(path: Path) -> None:
     with contextlib.suppress(OSError):  # some systems cannot
-        to_disk(path)
+        files.to_disk(path)

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from torch import Tensor
 
-from ..verify.findings import omitted
+from ..verify.crosscheck import omitted
 from .charts import BOUND, FAINT, quiet, svg
 from .page import figure, write_page
 from .pictures import error_picture, png_uri

@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Mapping, MutableMapping, Sequence
+import statistics
+from collections.abc import Callable, Iterable, Mapping, MutableMapping, Sequence
 from functools import partial
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -22,13 +24,12 @@ from ..io.provenance import machine, versions
 from ..io.timing import in_turns, spread
 from ..material.corner_cases import CONVERSION, as_bsdf
 from ..material.maps import SVBRDF, Bsdf
-from ..measure.gradients import Measured, fixed_cotangent, render_and_gradients
+from ..measure.gradients import Measured, render_and_gradients
 from ..measure.metrics import error_statistics, flip, gradient_error, relative_error
 from ..measure.tolerances import ROUGH_FROM, TOLERANCES, UNIT_ROUNDOFF
 from ..render import Renderer, make_renderer
 from ..render.needs import scene_needs
 from ..views import Views
-from .findings import summary, violations
 from .float32_limits import float32_limit
 
 SCHEMA_VERSION = 2
@@ -96,10 +97,9 @@ class _Case:
     def __init__(self, twin: Renderer, svbrdf: SVBRDF, views: Views, names: list[str],
                  transfer: color.Transfer) -> None:
         self.svbrdf, self.transfer = svbrdf, transfer
-        cotangent = fixed_cotangent(torch.Size((len(views), svbrdf.resolution, svbrdf.resolution, 3)))
         self.views, self.names = views, names
-        self.exact = render_and_gradients(twin, svbrdf, views, cotangent)
-        self.change = float32_limit(twin, svbrdf, views, self.exact, cotangent)
+        self.exact = render_and_gradients(twin, svbrdf, views)
+        self.change = float32_limit(twin, svbrdf, views, self.exact)
         image = self.exact.image
         # of the relative error of each value, N x R x R x 3
         self.limit = UNIT_ROUNDOFF + relative_error(image + self.change.image, image)
@@ -122,7 +122,10 @@ class _Case:
         shown = (shown - wanted).abs()
         error_map = torch.nan_to_num(off.abs(), nan=torch.inf).amax(dim=-1)
         worst = int(error_map.flatten(1).mean(dim=1).argmax())
-        return {"omitted": self._omitted(renderer.name),
+        # as render_and_gradients asks for it: every map wants a gradient
+        needs = scene_needs(self.svbrdf.map(lambda t: t.detach().clone().requires_grad_()), self.views,
+                            renderer.name)
+        return {"omitted": [{"what": what, "why": reason} for what, reason in needs.omitted],
                 **{name: self._figures(texels, off, got) for name, texels in self.classes.items()},
                 "display": _finite({"mean": float(shown.mean()), "worst": float(shown.max())}), "flip": look,
                 "worst_texels": [texel for texels in self.classes.values()
@@ -159,15 +162,9 @@ class _Case:
                          | _finite({"value": float(image[at]), "relative_error": float(error[at])}))
         return found
 
-    def _omitted(self, renderer: str) -> list[dict[str, str]]:
-        """As :func:`render_and_gradients` asks for it: every map wants a gradient."""
-        needs = scene_needs(self.svbrdf.map(lambda t: t.detach().clone().requires_grad_()), self.views,
-                            renderer)
-        return [{"what": what, "why": reason} for what, reason in needs.omitted]
-
 
 def _seconds(renderer: Renderer, svbrdf: SVBRDF, views: Views) -> tuple[float, float]:
-    """Seconds of a forward and of a backward pass."""
+    """Seconds of a forward and of a backward pass; the pictures are not kept."""
     passes = render_and_gradients(renderer, svbrdf, views)
     return passes.forward, passes.backward
 
@@ -189,3 +186,92 @@ def _relative(change: Tensor, gradient: Tensor) -> float | None:
     """The float32 limit of a gradient's relative L2 error; None where the gradient is 0."""
     length = float(gradient.norm())
     return UNIT_ROUNDOFF + float(change.norm()) / length if length else None
+
+
+def summary(configurations: Sequence[dict]) -> list[dict]:
+    """The worst figures of each BSDF and renderer, ``rough`` and ``smooth`` apart; median run times."""
+    rows = []
+    for texels in ("rough", "smooth"):
+        groups: dict[tuple[str, str], list[dict]] = {}
+        for configuration in configurations:
+            if configuration[texels]:
+                key = configuration["bsdf"], configuration["renderer"]
+                groups.setdefault(key, []).append(configuration)
+        rows += [{"texels": texels, "bsdf": bsdf, "renderer": renderer, "materials": len(group)}
+                 | _summary_row(group, texels) for (bsdf, renderer), group in groups.items()]
+    return rows
+
+
+def _summary_row(group: list[dict], texels: str) -> dict:
+    images = [c[texels]["image"] for c in group]
+    gradients = [g for c in group for g in c[texels]["gradients"].values()]
+    limits = [c[texels]["limit"] for c in group]
+
+    def largest(values: Iterable[float | None]) -> float | None:
+        return max((value for value in values if value is not None), key=abs, default=None)
+
+    return {"image": {name: largest(i[name] for i in images) for name in ("mean", "p99.9", "worst", "bias")},
+            "gradients": {"relative_l2": largest(g["relative_l2"] for g in gradients),
+                          "cosine": min((g["cosine"] for g in gradients if g["cosine"] is not None),
+                                        default=None)},
+            "limit": {"mean": largest(limit["image"]["mean"] for limit in limits),
+                      "p99.9": largest(limit["image"]["p99.9"] for limit in limits),
+                      "relative_l2": largest(value for limit in limits
+                                             for value in limit["gradients"].values())},
+            "display": largest(c["display"]["worst"] for c in group),
+            "flip": largest(c["flip"]["worst"] for c in group),
+            "seconds": {way: statistics.median(c["seconds"][way]["median"] for c in group)
+                        for way in ("forward", "backward")}}
+
+
+def omitted(record: dict) -> list[dict]:
+    """What was omitted and why, once each, ``by`` which renderers (and BSDF, where only one)."""
+    found: dict[tuple[str, str], list[dict]] = {}
+    for configuration in record["configurations"]:
+        for each in configuration["omitted"]:
+            found.setdefault((each["what"], each["why"]), []).append(configuration)
+    bsdfs = len({c["bsdf"] for c in record["configurations"]})
+
+    def by(configurations: list[dict]) -> str:
+        names, kinds = (list(dict.fromkeys(c[key] for c in configurations)) for key in ("renderer", "bsdf"))
+        return ", ".join(names) + ("" if len(kinds) == bsdfs else f" ({', '.join(kinds)})")
+
+    return [{"what": what, "why": why, "by": by(configurations)}
+            for (what, why), configurations in found.items()]
+
+
+def violations(record: dict) -> list[dict]:
+    """What exceeds the stated tolerances.
+
+    Returns:
+        One dict each with ``material``, ``bsdf``, ``renderer``, ``what``, ``value``, ``tolerance``, and
+        ``limit``: what float32 allows there, None where that is not known.
+    """
+    return [{name: configuration[name] for name in ("material", "bsdf", "renderer")} | each
+            for configuration in record["configurations"] for each in _exceeded(configuration)]
+
+
+def _exceeded(configuration: dict) -> list[dict]:
+    rough, stated = configuration["rough"], TOLERANCES["gradients"]
+    classes = [configuration[name] for name in ("rough", "smooth") if configuration[name]]
+    places = {"the image": [each["image"] for each in classes]} | {
+        f"the gradient of {name}": [each["gradients"][name] for each in classes]
+        for name in classes[0]["gradients"]}
+    found: list[tuple[str, Any, float, float | None]] = [
+        (f"values that are not finite in {place}", sum(each["not_finite"] for each in parts), 0, None)
+        for place, parts in places.items()]
+    for name, tolerance in TOLERANCES["image"].items() if rough else ():
+        found.append((f"{name} relative image error", rough["image"][name], tolerance,
+                      rough["limit"]["image"][name]))
+    for name, gradient in rough["gradients"].items() if rough else ():
+        what = f"gradient of {name}"
+        if gradient["reference"] == 0:
+            found.append((f"{what}: length, 0 in the reference", gradient["difference"], 0, None))
+            continue
+        turned = None if gradient["cosine"] is None else 1 - gradient["cosine"]
+        found += [(f"{what}: relative L2", gradient["relative_l2"], stated["relative_l2"],
+                   rough["limit"]["gradients"][name]),
+                  (f"{what}: 1 - cosine", turned, stated["1 - cosine"], None)]
+    # a missing figure is not finite, which is counted apart
+    return [dict(zip(("what", "value", "tolerance", "limit"), row)) for row in found
+            if row[1] is not None and row[1] > row[2]]

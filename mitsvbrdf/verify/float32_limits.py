@@ -38,10 +38,11 @@ class Limit(NamedTuple):
     gradients: dict[str, Tensor]  # by map name, each of the map's shape
 
 
-def float32_limit(twin: Renderer, svbrdf: SVBRDF, views: Views, exact: Measured, cotangent: Tensor) -> Limit:
+def float32_limit(twin: Renderer, svbrdf: SVBRDF, views: Views, exact: Measured,
+                  cotangent: Tensor | None = None) -> Limit:
     """The changes that one float32 rounding of every normal makes; see the module's text.
 
-    ``exact`` is what ``analytic64`` finds with the normals as they are and this cotangent, N x R x R x 3.
+    ``exact`` is what ``analytic64`` finds with the normals as they are and this cotangent.
     """
     turned = [render_and_gradients(twin, m, views, cotangent) for m in turned_normals(svbrdf, UNIT_ROUNDOFF)]
     return Limit(_length([t.image - exact.image for t in turned]),

@@ -18,8 +18,7 @@ from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.testing import random_material
-from mitsvbrdf.verify.crosscheck import crosscheck
-from mitsvbrdf.verify.findings import violations
+from mitsvbrdf.verify.crosscheck import crosscheck, violations
 
 
 class Broken:

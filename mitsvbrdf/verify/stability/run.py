@@ -1,26 +1,32 @@
-"""The run: every configuration through every renderer, as one record."""
+"""The run: every configuration through every renderer, as one record, with a verdict on each.
+
+The verdict ``clamped`` names a cut of the model.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
 from torch import Tensor
 
 from ... import color
+from ...color import TOE
 from ...errors import MitsvbrdfError
 from ...fit.losses import photometric
 from ...io.entry import entry
 from ...io.provenance import machine, versions
-from ...measure.gradients import Measured, fixed_cotangent, render_and_gradients
+from ...measure.gradients import Measured, render_and_gradients
 from ...measure.tolerances import SWEEP_TOLERANCES, UNIT_ROUNDOFF
 from ...render import Renderer, make_renderer
+from ...render.analytic import MIN_ALPHA
+from ...render.bsdf import F0_RANGE
+from ...render.needs import CONSTANT_FRESNEL_DEGREES, half_angle_bound
 from ..float32_limits import float32_limit
 from .conditioning import condition, disturbed, jacobian
 from .sweeps import SWEEPS, Case
-from .verdict import CLAMPS, verdict
 
 SCHEMA_VERSION = 2
 # a gradient entry of this share of its texel's is above float32's rounding: 0 in its place was put there
@@ -79,14 +85,18 @@ def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
     except MitsvbrdfError as error:
         kind, why = verdict({"refused": str(error)}, {})
         return row | {"renderers": {r.name: {"verdict": kind, "why": why} for r in renderers}}
-    twin = make_renderer("analytic64")
-    photos = _photos(twin, case)
-    cotangent = _cotangent(twin, case, photos)
+    twin, photos, cotangent = make_renderer("analytic64"), None, None
+    if case.transfer is not None:  # the photometric loss, on photos of a material a little different
+        with torch.no_grad():
+            photos = color.to_display(twin.render(disturbed(case.svbrdf), case.views), case.transfer)
+            image = twin.render(case.svbrdf, case.views)
+        image.requires_grad_()
+        cotangent = torch.autograd.grad(photometric(image, photos, case.transfer), image)[0]
     exact = render_and_gradients(twin, case.svbrdf, case.views, cotangent)
     row["clamps"] = [name for name, acts in CLAMPS.items() if acts(case, exact.image)]
     if case.small:
         row["limit"] = _limit(twin, case, exact, cotangent)
-        row["condition"] = condition(jacobian(twin, case.svbrdf, case.views, _display(case)))
+        row["condition"] = condition(jacobian(twin, case.svbrdf, case.views, case.display))
     found = {}
     for renderer in renderers:
         figures = _figures(renderer, case, exact, photos)
@@ -95,35 +105,17 @@ def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
     return row | {"renderers": found}
 
 
-def _display(case: Case) -> Callable[[Tensor], Tensor]:
-    """What a fit sees: display values, burnt out in photos whose exposure is swept."""
-    return color.encode if case.transfer is None else lambda radiance: color.to_display(
-        radiance, case.encoding)
-
-
-def _photos(twin: Renderer, case: Case) -> Tensor | None:
-    """Photos of a material a little different, for the configurations that ask for the photometric loss."""
-    if case.transfer is None:
-        return None
-    with torch.no_grad():
-        return color.to_display(twin.render(disturbed(case.svbrdf), case.views), case.encoding)
-
-
-def _cotangent(twin: Renderer, case: Case, photos: Tensor | None) -> Tensor:
-    if photos is None:
-        return fixed_cotangent(
-            torch.Size((len(case.views), case.svbrdf.resolution, case.svbrdf.resolution, 3)))
-    with torch.no_grad():
-        image = twin.render(case.svbrdf, case.views)
-    image.requires_grad_()
-    return torch.autograd.grad(photometric(image, photos, case.encoding), image)[0]
-
-
 def _figures(renderer: Renderer, case: Case, exact: Measured, photos: Tensor | None) -> dict:
     """Errors, and values that are not finite or were made 0; or how the renderer refused."""
     try:
-        found = _loss_gradients(renderer, case, photos) if photos is not None else render_and_gradients(
-            renderer, case.svbrdf, case.views)
+        if photos is None or case.transfer is None:
+            found = render_and_gradients(renderer, case.svbrdf, case.views)
+        else:  # of the photometric loss, in the renderer's own precision
+            leaves = case.svbrdf.map(lambda t: t.detach().clone().requires_grad_())
+            drawn = renderer.render(leaves, case.views)
+            slopes = torch.autograd.grad(photometric(drawn, photos.to(drawn), case.transfer),
+                                         list(leaves.maps.values()))
+            found = Measured(drawn.detach(), dict(zip(leaves.maps, slopes)), 0.0, 0.0)
     except MitsvbrdfError as error:
         return {"refused": str(error)}
     pick = slice(None) if case.texels is None else case.texels
@@ -136,15 +128,6 @@ def _figures(renderer: Renderer, case: Case, exact: Measured, photos: Tensor | N
         | {name: _not_finite(g) for name, (g, _) in gradients.items()},
         "silenced": {name: _silenced(*pair) for name, pair in gradients.items()},
     }
-
-
-def _loss_gradients(renderer: Renderer, case: Case, photos: Tensor) -> Measured:
-    """As :func:`render_and_gradients`, of the photometric loss in the renderer's own precision."""
-    leaves = case.svbrdf.map(lambda t: t.detach().clone().requires_grad_())
-    image = renderer.render(leaves, case.views)
-    gradients = torch.autograd.grad(photometric(image, photos.to(image), case.encoding),
-                                    list(leaves.maps.values()))
-    return Measured(image.detach(), dict(zip(leaves.maps, gradients)), 0.0, 0.0)
 
 
 def _relative(found: Tensor, reference: Tensor) -> float | None:
@@ -164,7 +147,7 @@ def _silenced(found: Tensor, reference: Tensor) -> int:
         ((found == 0) & (reference.abs() > ABOVE_ROUNDING * reference.norm(dim=-1, keepdim=True))).sum())
 
 
-def _limit(twin: Renderer, case: Case, exact: Measured, cotangent: Tensor) -> dict[str, float]:
+def _limit(twin: Renderer, case: Case, exact: Measured, cotangent: Tensor | None) -> dict[str, float]:
     """Relative L2 change by one rounding of every normal, over the compared texels."""
     limit = float32_limit(twin, case.svbrdf, case.views, exact, cotangent)
     pick = slice(None) if case.texels is None else case.texels
@@ -172,3 +155,82 @@ def _limit(twin: Renderer, case: Case, exact: Measured, cotangent: Tensor) -> di
         name: (change[pick], exact.gradients[name][pick]) for name, change in limit.gradients.items()}
     return {name: UNIT_ROUNDOFF + (float(change.norm() / value.norm()) if value.norm() > 0 else 0.0)
             for name, (change, value) in pairs.items()}
+
+
+# From best to worst: ``degraded`` is as far off as conditioning explains, ``limited`` further, for a known
+# cause and within a stated bound. The last two are never accepted, ``refused`` only of what is invalid.
+VERDICTS = ("exact", "clamped", "degraded", "limited", "refused", "wrong", "not finite")
+
+
+def verdict(figures: Mapping, limit: Mapping[str, float], clamps: Sequence[str] = (),
+            known: tuple[float, str] | None = None) -> tuple[str, str]:
+    """A key of :data:`VERDICTS`, and why.
+
+    Args:
+        figures: ``errors``, the relative L2 error of ``image`` and each map's gradient, None for infinite;
+            ``not_finite`` and ``silenced``, how many values by the same names; or ``refused``, the error
+            message, alone.
+        limit: what one rounding of every normal changes
+            (:func:`mitsvbrdf.verify.float32_limits.float32_limit`), by the names of ``errors``; empty where
+            it was not looked at. Measured errors reach a third of it where nothing else is wrong.
+        clamps: names of the cuts that act.
+        known: the largest error that is known and explained, and its cause.
+    """
+    if "refused" in figures:
+        return "refused", figures["refused"]
+    for kind, what, how in (("not finite", "not_finite", ""), ("wrong", "silenced", " come back as 0")):
+        found = [f"{count} of {name}" for name, count in figures[what].items() if count]
+        if found and not (known and kind == "wrong"):
+            return kind, ", ".join(found) + how
+    errors = {name: float("inf") if error is None else error for name, error in figures["errors"].items()}
+    excess = {name: error / max(_tolerance(name), limit.get(name, 0.0)) for name, error in errors.items()}
+    name = max(excess, key=excess.__getitem__)
+    if excess[name] > 1:
+        if known and errors[name] <= known[0]:
+            return "limited", f"{known[1]}: {name} {errors[name]:.1g}"
+        return "wrong", f"{name} {errors[name]:.1g}, {_beside(name, limit)}"
+    off = {name: error / _tolerance(name) for name, error in errors.items()}
+    name = max(off, key=off.__getitem__)
+    if off[name] > 1:
+        return "degraded", f"{name} {errors[name]:.1g}, {_beside(name, limit)}"
+    return ("clamped", ", ".join(clamps)) if clamps else ("exact", "")
+
+
+def _tolerance(name: str) -> float:
+    return SWEEP_TOLERANCES["image" if name == "image" else "gradient"]
+
+
+def _beside(name: str, limit: Mapping[str, float]) -> str:
+    return f"one rounding makes {limit[name]:.1g}" if name in limit else f"tolerance {_tolerance(name):.1g}"
+
+
+Acts = Callable[[Case, Tensor], bool]
+
+
+def _smoother_than(bsdf: str) -> Acts:
+    return lambda case, radiance: case.svbrdf.bsdf == bsdf and bool(
+        (case.svbrdf["roughness"].double() ** 2 <= MIN_ALPHA[bsdf]).any())
+
+
+def _index_cut(case: Case, radiance: Tensor) -> bool:
+    if case.svbrdf.bsdf != "roughconductor" or half_angle_bound(case.views) <= CONSTANT_FRESNEL_DEGREES:
+        return False
+    f0 = case.svbrdf["specular"]
+    return bool(((f0 < F0_RANGE[0]) | (f0 > F0_RANGE[1])).any())
+
+
+# By name, as a verdict has it: whether the cut changes a value or gradient of a case of this radiance. No
+# other cut acts in the sweeps.
+CLAMPS: dict[str, Acts] = {
+    # D is 1 / (pi alpha^2) at its peak: without an end it overflows float32 at r = 1e-10, and one rounding of
+    # the normal is worth 6e-8 / alpha of it. Below, the image stays as it is and roughness has gradient 0.
+    f"alpha >= {MIN_ALPHA['roughconductor']:g}": _smoother_than("roughconductor"),
+    # The plugin's own end. Below, only the diffuse lobe answers to roughness.
+    f"alpha >= {MIN_ALPHA['principled']:g}": _smoother_than("principled"),
+    # The refractive index is infinite at F0 = 1, its slope at F0 = 0. Beyond, F is proportional to F0.
+    f"index for F0 in [{F0_RANGE[0]:g}, {F0_RANGE[1]:g}]": _index_cut,
+    # The power curve is vertical at 0: below the toe it is its chord, of slope 1282.
+    "toe of gamma 2.2": lambda case, radiance: case.transfer == "gamma2.2" and bool((radiance < TOE).any()),
+    # A burnt-out photo value says at least this bright: gradient 0 where the rendering is brighter still.
+    "burnt-out photos": lambda case, radiance: case.transfer is not None and bool((radiance >= 1).any()),
+}

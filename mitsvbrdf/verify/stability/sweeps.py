@@ -71,10 +71,9 @@ class Case:
     refused: bool = False
     known: Known = field(default_factory=dict)
 
-    @property
-    def encoding(self) -> color.Transfer:
-        """The transfer function of its photos."""
-        return self.transfer or "gamma2.2"
+    def display(self, radiance: Tensor) -> Tensor:
+        """What a fit sees: display values, burnt out in photos whose exposure is swept."""
+        return color.encode(radiance) if self.transfer is None else color.to_display(radiance, self.transfer)
 
     @property
     def small(self) -> bool:

@@ -13,8 +13,8 @@ from mitsvbrdf.errors import CaptureError, MapsError, MitsvbrdfError
 from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
 from mitsvbrdf.measure.gradients import render_and_gradients
 from mitsvbrdf.verify.stability import SWEEPS
+from mitsvbrdf.verify.stability.run import CLAMPS
 from mitsvbrdf.verify.stability.sweeps import GRID, Case, aimed, material
-from mitsvbrdf.verify.stability.verdict import CLAMPS
 from mitsvbrdf.views import BRIGHTEST, FARTHEST, NEAREST, Views
 
 

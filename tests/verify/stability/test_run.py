@@ -14,8 +14,8 @@ from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.verify.stability import SWEEPS, run
+from mitsvbrdf.verify.stability.run import VERDICTS
 from mitsvbrdf.verify.stability.sweeps import Case, material, tilted
-from mitsvbrdf.verify.stability.verdict import VERDICTS
 
 
 class Broken(AnalyticRenderer):

@@ -3,7 +3,7 @@
 import pytest
 
 from mitsvbrdf.measure.tolerances import SWEEP_TOLERANCES
-from mitsvbrdf.verify.stability.verdict import VERDICTS, verdict
+from mitsvbrdf.verify.stability.run import VERDICTS, verdict
 
 IMAGE, GRADIENT = SWEEP_TOLERANCES["image"], SWEEP_TOLERANCES["gradient"]
 GOOD = {"errors": {"image": IMAGE / 3, "roughness": GRADIENT / 3}, "not_finite": {"image": 0},
