@@ -13,7 +13,7 @@ from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.measure.burn_in import burn_in
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.synth.photograph import photograph
+from mitsvbrdf.synth import photograph
 
 pytestmark = pytest.mark.slow
 

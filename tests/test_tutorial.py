@@ -10,7 +10,7 @@ from helpers import GRID
 from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.synth.photograph import photograph
+from mitsvbrdf.synth import photograph
 
 TUTORIAL = notebooks.ROOT / "docs/tutorial.ipynb"
 SIDE = 32

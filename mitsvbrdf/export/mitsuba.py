@@ -1,11 +1,14 @@
-"""The material as a Mitsuba scene file: ``scenes/patch.xml`` with material and view filled in."""
+"""The material as a Mitsuba scene file, ``scenes/patch.xml`` filled in; scene files as dictionaries."""
 
 from __future__ import annotations
 
 import math
 import xml.etree.ElementTree as ET
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
+import numpy as np
 import torch
 
 from ..io import files, images
@@ -111,3 +114,36 @@ def _fill(element: ET.Element, description: dict) -> None:
         else:
             text = str(value).lower() if isinstance(value, bool) else str(value)
             ET.SubElement(element, kinds[type(value)], name=name, value=text)
+
+
+def read_scene(mi: ModuleType, name: str, **values: str) -> dict[str, Any]:
+    """A file of ``scenes/`` as the dictionary that ``mitsuba.load_dict`` takes, to be filled in.
+
+    Names are ids, else kinds (``sensor``, ``film``). References stay references, so that what they name can
+    be replaced.
+    """
+    config = mi.parser.ParserConfig(mi.variant())
+    state = mi.parser.parse_file(config, str(SCENES / name), **values)
+    return _described(mi, state, 0)
+
+
+def _described(mi: ModuleType, state: Any, index: int) -> dict[str, Any]:
+    """A node of a parsed file, and those below it."""
+    props = state.nodes[index].props
+    described: dict[str, Any] = {"type": props.plugin_name()}
+    for key, value in props.items():
+        if isinstance(value, mi.Properties.ResolvedReference):
+            child = state.nodes[value.index()]
+            name = (child.props.id() or child.type.name.lower()) if key.startswith("_arg_") else key
+            described[name] = _described(mi, state, value.index())
+        elif isinstance(value, mi.Properties.Reference):
+            described["bsdf" if key.startswith("_arg_") else key] = {"type": "ref", "id": value.id()}
+        elif "Color" in type(value).__name__:
+            described[key] = {"type": "rgb", "value": list(value)}
+        elif "Transform" in type(value).__name__:  # parsed in double precision
+            described[key] = mi.ScalarTransform4f(np.array(value.matrix, dtype=np.float32))
+        elif key == "filename":
+            described[key] = str(SCENES / value)
+        else:
+            described[key] = value
+    return described

@@ -20,9 +20,9 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..errors import ConfigError
+from ..export.mitsuba import read_scene
 from ..io import images
 from ..io.decode import check_size
-from .scene_file import read_scene
 
 ENVIRONMENTS = ("studio", "sunsky", "none")  # softboxes in a grey room, a clear afternoon, a single light
 WHITE_LUMINANCE = 0.8  # luminance of a white diffuse surface that faces up, or the single light

@@ -11,14 +11,13 @@ from typing import Any
 import torch
 
 from ..errors import ConfigError
-from ..export.mitsuba import view_parameters
+from ..export.mitsuba import read_scene, view_parameters
 from ..io.entry import entry
 from ..material.maps import SVBRDF
 from ..render.bsdf import needed_maps, plugin, slot_values
 from ..render.needs import Needs, material_needs
 from ..views import Views, nine_view_grid
 from .environment import WHITE_LUMINANCE, Environment, make_environment
-from .scene_file import read_scene
 
 Place = Callable[[int], dict[str, Any]]
 

@@ -17,7 +17,7 @@ from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps, save_maps
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.synth.photograph import photograph
+from mitsvbrdf.synth import photograph
 
 SPREAD = torch.tensor([0.03, 0.03, 0.05, 0.03, 0.03, 0.03, 0.1], dtype=torch.float64)  # of the default priors
 

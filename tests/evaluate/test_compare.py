@@ -22,7 +22,7 @@ from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
-from mitsvbrdf.synth.photograph import photograph
+from mitsvbrdf.synth import photograph
 from mitsvbrdf.views import nine_view_grid
 
 SIDE = 32

@@ -14,7 +14,7 @@ from mitsvbrdf.fit.confidence import UNKNOWN, confidence, deviations, jacobian, 
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.synth.photograph import photograph
+from mitsvbrdf.synth import photograph
 from mitsvbrdf.views import Views
 
 SIDE = 16

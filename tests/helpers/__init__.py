@@ -9,7 +9,7 @@ from pathlib import Path
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.render import make_renderer
-from mitsvbrdf.synth.photograph import photograph
+from mitsvbrdf.synth import photograph
 from mitsvbrdf.views import Views, nine_view_grid
 
 ROOT = Path(__file__).resolve().parents[2]

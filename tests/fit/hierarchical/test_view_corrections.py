@@ -10,7 +10,7 @@ from mitsvbrdf.calibrate.refine import PRIORS, moved
 from mitsvbrdf.fit.hierarchical import view_corrections
 from mitsvbrdf.fit.hierarchical.view_corrections import ViewCorrections
 from mitsvbrdf.material.made import make_material
-from mitsvbrdf.synth.photograph import photograph
+from mitsvbrdf.synth import photograph
 
 USUAL = PRIORS["given"].camera[2], PRIORS["given"].exposure
 
