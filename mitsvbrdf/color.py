@@ -95,7 +95,6 @@ def encode(linear: Tensor, transfer: Transfer = "gamma2.2") -> Tensor:
 
     Args:
         linear: any shape, any float dtype; negative values are extended along the tangent at 0.
-        transfer: ``gamma2.2``, ``srgb`` or ``linear``.
 
     Returns:
         Display values of the same shape; 1 maps to 1. :func:`clip` limits them as a photo does.
@@ -108,7 +107,6 @@ def decode(display: Tensor, transfer: Transfer = "gamma2.2") -> Tensor:
 
     Args:
         display: any shape, any float dtype.
-        transfer: as in :func:`encode`.
     """
     return response(transfer).decode(display, _torch())
 

@@ -43,7 +43,6 @@ def check_fields(instance: Any, *names: str) -> None:
     """Raise ConfigError for the first of these fields of a dataclass that is not of its annotation's kind.
 
     Args:
-        instance: of the dataclass.
         names: of the fields. Default: all.
     """
     owner: Any = type(instance)

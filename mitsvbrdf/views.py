@@ -244,7 +244,6 @@ def default_views(count: int, field_of_view: float = FIELD_OF_VIEW, share: float
     """The default geometry of photos without calibration: camera and light together above the centre.
 
     Args:
-        count: number of photos.
         field_of_view: degrees across the photo's long side.
         share: the patch side as a share of that long side.
 

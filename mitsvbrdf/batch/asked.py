@@ -153,7 +153,6 @@ def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
         asked: each capture with its options; the same twice counts once.
         library: what lies there; it learns what is asked for.
         retry_failed: whether what failed is tried again.
-        report: told what is read and the share done.
     """
     stock, results, known, wanted = Stock(), library.results, library.materials, dict[str, Material]()
     for material in _materials(list(asked), report):

@@ -96,8 +96,6 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
     """Fit a capture and write the result, its page where wanted, and its preview.
 
     Args:
-        capture: folder or JSON file.
-        out: the folder to write into.
         asked: ``config``, ``options``, ``pages`` and ``sheet``, as ``Asked.record`` has them.
 
     Returns:

@@ -71,7 +71,6 @@ class ResultStore:
         """What is wrong with the files of a result, in words; empty where nothing is.
 
         Args:
-            result: its record.
             hashes: whether contents are compared, not only sizes.
         """
         there = self.store.objects(result.folder)

@@ -105,12 +105,9 @@ def run(methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequen
 
     Args:
         methods: settings by name; each fit sets budget and seed.
-        tasks: what is fitted.
         budgets: seconds.
-        seeds: of the fits.
         renderer: carries the gradients.
         path: of the file of records, one JSON object a line; a file that is there is gone on with.
-        report: told what is going on and the share done.
 
     Returns:
         The records asked for, of this version and machine, in the order of the fits.

@@ -55,12 +55,7 @@ class KnownMaterial:
                 "views": self.seen_from}
 
     def errors(self, svbrdf: SVBRDF, predict: Predict) -> dict[str, float]:
-        """RMSE of each map and their ``mean``, of images under ``novel_light``, of the ``photos``.
-
-        Args:
-            svbrdf: the maps that a fit found.
-            predict: what it predicts for photos.
-        """
+        """RMSE of each map and their ``mean``, of images under ``novel_light``, of the ``photos``."""
         maps = map_rmse(svbrdf, self.truth) if self.folder is None else evaluate_maps(svbrdf, self.folder)
         size = min(svbrdf.resolution, self.truth.resolution)
         renderer, lit = make_renderer("analytic"), novel_views(self.photos.views)
@@ -95,7 +90,7 @@ class RealCapture:
                 "held_out": list(self.held_out)}
 
     def errors(self, svbrdf: SVBRDF, predict: Predict) -> dict[str, float]:
-        """RMSE of the photos ``seen`` and ``held_out``; arguments as of :meth:`KnownMaterial.errors`."""
+        """RMSE of the photos ``seen`` and ``held_out``."""
         held = {} if self.unseen is None else {"held_out": predict(self.unseen)}
         return {"seen": predict(self.photos)} | held
 
@@ -108,10 +103,6 @@ def known_material(name: str, resolution: int, views: Views, renderer: Renderer,
     """A task from ``builtin:NAME`` or a folder of maps: 8-bit photos without noise.
 
     Args:
-        name: of the material, or its folder.
-        resolution: of the fit.
-        views: of the photos.
-        renderer: takes the photos.
         seen_from: what these views are called in records.
 
     Raises:
@@ -129,8 +120,6 @@ def real_capture(folder: Path, resolution: int, held_out: Sequence[int] = HELD_O
     """A task from a folder of photos.
 
     Args:
-        folder: of the capture.
-        resolution: of the fit.
         held_out: numbers of the photos that no fit sees.
 
     Raises:
@@ -155,7 +144,6 @@ def find_tasks(materials: Sequence[str] | None, captures: Sequence[str] | None, 
             is skipped. None: all of both.
         captures: folders, or names in the data; "none" is skipped. None: all in the data.
         data: folder with ``captures/`` and ``materials/``, as :func:`data_folder` finds it.
-        resolution: of the fits.
         held_out: numbers of the photos of captures that no fit sees.
         views: the capture whose views photos of known materials have, or builtin:grid; None: cards-blue of
             the data, else builtin:grid.

@@ -148,7 +148,6 @@ def _left(photos: Tensor, seen: Tensor, views: Views) -> tuple[float, float]:
     Args:
         photos: radiance N x R x R, grey.
         seen: where they are not clipped.
-        views: N views.
     """
     light, half, irradiance = (x.double() for x in geometry(views, photos.shape[1]))
     bright, up = irradiance.mean(dim=-1) / math.pi, light[..., 2].clamp_min(1e-3)

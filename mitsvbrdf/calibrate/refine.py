@@ -135,8 +135,6 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
         svbrdf: the material, which stays as it is; any resolution.
         views: the N views to start from, around which the priors stand, such as the capture's.
         capture: the N photos.
-        priors: how far the views may be off.
-        iterations: steps at most.
         start: changes N x 7 from which the search begins, such as those found with earlier maps; left out,
             those expected.
 

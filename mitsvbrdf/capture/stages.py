@@ -100,7 +100,6 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
         resolution: pixels a side, at most; never more than the photos show.
         reference: the photo that says what is up, without a sheet; see
             :func:`~mitsvbrdf.capture.align.from_photos.rig_from_photos`.
-        report: called with the name of the stage and the share done.
 
     Raises:
         CaptureError: fewer than three photos can be used, with the reasons.

@@ -101,7 +101,6 @@ def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str |
 
     Args:
         outputs: as named on the command line; None was not asked for.
-        overwrite: whether they may replace others.
         read: files and folders that the command reads, as named.
         photos: a capture, among whose photos nothing is written; ``builtin:NAME`` and None are none.
 

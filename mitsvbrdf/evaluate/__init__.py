@@ -26,7 +26,6 @@ def evaluate_maps(svbrdf: SVBRDF, material: str | Path, encoding: str | None = N
 
     Args:
         svbrdf: the estimate.
-        material: the folder.
         encoding: of its files, as ``load_maps`` has it.
         normal: the convention of its normals, likewise.
 
@@ -45,7 +44,6 @@ def evaluate_capture(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
     Args:
         svbrdf: the material, brought to the photos' resolution if it differs.
         capture: the photos; they need not be those of the fit.
-        renderer: draws them.
         flash_offset: (x, y) of the flash beside the lens in patch sides, as a fit found it; None leaves the
             views alone.
         priors: how far the views may be off, to measure with refined ones too

@@ -46,8 +46,6 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
 
     Args:
         entries: one or more, each with a name of its own.
-        capture: the photos.
-        renderer: draws all of them.
         map_errors: gives the RMSE of maps against known ones, by map; None where none are known.
         transfer: how display values encode radiance; None: as each fit took it, else as the capture states.
         priors: measure a third time, with views refined beside frozen maps, which treats all methods alike.

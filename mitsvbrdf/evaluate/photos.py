@@ -31,7 +31,6 @@ def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Render
         svbrdf: the material, brought to the photos' resolution if it differs.
         fit: how it saw its photos; the defaults for maps without a ``fit.json``.
         capture: N photos, as :func:`~mitsvbrdf.evaluate.placement.placed` leaves them.
-        renderer: draws them.
         priors: measure a third time, with views refined beside frozen maps.
 
     Returns:

@@ -30,7 +30,6 @@ def placed(capture: Capture, fit: Fit) -> Capture:
 
     Args:
         capture: all photos, those held out and those it saw.
-        fit: what is known of it.
 
     Raises:
         CaptureError: the fit estimated views, and these photos do not allow it.
@@ -81,7 +80,6 @@ def predict(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
     """Photos that a fit did not use, from their views and the flash offset that all its photos share.
 
     Args:
-        svbrdf: the fitted material.
         capture: the N photos left out.
         renderer: draws them, one at a time.
         flash_offset: (x, y) of the flash beside the lens in patch sides, as the fit found it, or None.

@@ -25,7 +25,6 @@ def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS
         svbrdf: the material, checked (:meth:`SVBRDF.check`).
         out: made when missing.
         to: of :data:`FORMATS`.
-        settings: how.
         views: the first one is shown by the Mitsuba scene; left out: from above, near the centre.
 
     Returns:

@@ -36,7 +36,6 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views, repeats: bool = F
 
     Args:
         out: folder; made when missing.
-        svbrdf: the material.
         views: at least one view.
         repeats: whether the textures repeat beyond their edges.
     """

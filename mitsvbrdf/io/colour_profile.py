@@ -56,7 +56,6 @@ def profile_of(image: Image, path: Path) -> Profile | None:
 
     Args:
         image: opened by Pillow, its pixels not read yet.
-        path: its file.
     """
     points = _cicp(path) if image.format == "PNG" else image.info.get("nclx_profile")
     icc = image.info.get("icc_profile")
@@ -76,7 +75,6 @@ def to_srgb(pixels: np.ndarray, profile: Profile) -> tuple[np.ndarray, float]:
 
     Args:
         pixels: H x W x 3 of 8 or 16 bits; of a grey profile the channels are equal.
-        profile: what they mean.
 
     Returns:
         H x W x 3 of 16 bits, and the share of pixels whose colours lie outside of sRGB and were moved to its

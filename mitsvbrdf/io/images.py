@@ -38,7 +38,6 @@ def read_image(path: Path, error: type[MitsvbrdfError], data: bool = False) -> T
     where the file states others.
 
     Args:
-        path: the file.
         error: raised where it is missing or unreadable.
         data: its numbers are no colours (roughness, normals), and stay as they are.
 

@@ -25,10 +25,7 @@ def read_json(path: Path, error: type[MitsvbrdfError], expected: str = "a valid 
     """:func:`load`, whose exceptions become an ``error`` with the name of the file.
 
     Args:
-        path: of the file.
-        error: the type to raise.
         expected: the right content, in a few words.
-        fix: the way out.
         kind: type of the whole value.
     """
     try:

@@ -44,7 +44,6 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False, keep: tuple[
     result goes as a whole, with what commands made of it in :data:`DERIVED` folders.
 
     Args:
-        out: the folder the caller asked for.
         overwrite: whether an earlier result, or an unfinished run, may be replaced.
         resume: go on in the partial folder of an interrupted run.
         keep: files and folders to resume from.

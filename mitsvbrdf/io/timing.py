@@ -38,10 +38,8 @@ def in_turns(jobs: Mapping[K, Callable[[], T]], repeats: int = 5, unmeasured: in
     """Run all jobs in turn, again and again: drift of the machine hits all alike.
 
     Args:
-        jobs: what to run, by name.
         repeats: turns that count.
         unmeasured: turns before these, which compile and warm up; 0 for jobs that have run already.
-        report: called with the share done after each run.
 
     Returns:
         What each job returned in the turns that count.

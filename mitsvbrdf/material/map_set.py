@@ -205,9 +205,6 @@ def read_map(source: Source, name: str, channels: int, code: str, way: str = OVE
     """One map from its file, linear, H x W x ``channels``.
 
     Args:
-        source: the file.
-        name: the map's.
-        channels: how many it has.
         code: the encoding of a file of 8 or 16 bits; of normals ``gl``, ``dx`` or empty.
 
     Raises:

@@ -37,9 +37,7 @@ def unit_normals(image: Tensor, path: Path, convention: str = "", way: str = OVE
 
     Args:
         image: H x W x C, as the file holds it.
-        path: the file.
         convention: ``gl`` or ``dx`` where it is stated; else the curl decides.
-        way: how the user overrules it.
 
     Raises:
         MapsError: no normals.

@@ -49,7 +49,6 @@ def render_and_gradients(renderer: Renderer, svbrdf: SVBRDF, views: Views, cotan
     Args:
         renderer: any; ``analytic64`` gets the maps in float64, so its gradients are float64 too.
         svbrdf: the material, float32.
-        views: camera and light positions.
         cotangent: N x R x R x 3; left out: :func:`fixed_cotangent`.
 
     Raises:

@@ -29,7 +29,6 @@ def map_rmse(svbrdf: SVBRDF, reference: SVBRDF, encoding: str = "linear") -> dic
     their 8 bits or JPEG: the unit normals of ``load_maps`` give up to 0.001 less.
 
     Args:
-        svbrdf: the estimate.
         reference: the truth.
         encoding: of the reference's files, as ``material.json`` says: ``linear``, ``gamma 2.2`` or ``srgb``.
 

@@ -70,7 +70,6 @@ def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
     """The record of an earlier run with the same settings, its files brought to ``folder``.
 
     Args:
-        settings: of this run.
         out: the folder of results, finished or interrupted.
         folder: where results are made; of a run that was killed it still holds the frames, and comes first.
 
@@ -118,15 +117,10 @@ def render_stages(mi: ModuleType, stages: Sequence[Stage], stop: Stop, record: R
     """Render the frames that the record lacks, in order; frames are EXR files, stills have a PNG beside.
 
     Args:
-        mi: the ``mitsuba`` module.
-        stages: the presets.
         stop: when a frame is done; a budget is that of all frames together, and those to come share what is
             left.
         record: gets an entry for each frame, and is written after each.
-        folder: to write to.
-        seed: of all random numbers.
         exposure: of the PNG, and of the picture whose error is estimated, in stops.
-        report: told a line and the share done.
         done: called after each preset, with what it has where it was interrupted.
         interrupted: not empty once somebody wants an end; the frame at hand is kept as it is.
 

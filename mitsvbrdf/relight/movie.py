@@ -25,7 +25,6 @@ def write_mp4(path: Path, frames: Iterable[Tensor]) -> None:
     more, a copy of its neighbour: so nothing of the picture is lost.
 
     Args:
-        path: the file to write or replace.
         frames: display values in [0, 1] (clipped), each H x W x 3 of the same size.
 
     Raises:

@@ -95,11 +95,8 @@ def render_passes(draw: Callable[[int, int], Tensor], stop: Stop, *, pixels: int
     Args:
         draw: (number of the call, samples a pixel, a power of two) -> linear H x W x 3, independent from call
             to call.
-        stop: when.
-        pixels: of the frame.
         exposure: stops by which the picture is shown brighter than it is; the error is that of the picture
             shown.
-        report: told a line and the share done.
         interrupted: not empty once somebody wants an end now; one call is made in any case.
 
     Raises:
@@ -142,9 +139,7 @@ def render_frame(mi: ModuleType, scene: Any, stop: Stop, *, seed: int = 0, name:
     """Render a loaded Mitsuba scene with its own sensor and integrator; see :func:`render_passes`.
 
     Args:
-        mi: the ``mitsuba`` module.
         scene: as ``mi.load_dict`` gives it, its sampler ``independent``.
-        seed: of all random numbers.
         name: of the frame; frames of different names have different random numbers.
     """
     first = zlib.crc32(f"{seed} {name}".encode())

@@ -33,9 +33,7 @@ def sphere(svbrdf: SVBRDF, size: int = 512, variant: str = "llvm_ad_rgb") -> Ten
     """The sphere as display values, size x size x 3; maps and mirror images cover it without a seam.
 
     Args:
-        svbrdf: the material.
         size: of the picture in pixels.
-        variant: Mitsuba variant.
 
     Raises:
         BackendError: Mitsuba, the variant or libLLVM is missing.

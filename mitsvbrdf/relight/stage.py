@@ -72,7 +72,6 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
 
     Args:
         mi: the Mitsuba module, an RGB variant set.
-        svbrdf: the material.
         preset: a key of :data:`PRESETS`.
         environment: a key of :data:`ENVIRONMENTS`, or an .exr or .hdr file; left out: what suits the preset.
         size: width and height of the film in pixels.

@@ -67,11 +67,6 @@ def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
 
     ``analytic64``, the truth of comparisons, leaves the Fresnel curve out only where camera and light are in
     one place.
-
-    Args:
-        svbrdf: the material.
-        views: camera and light positions.
-        renderer: name of the renderer in use.
     """
     of_material = material_needs(svbrdf)
     angle = half_angle_bound(views)

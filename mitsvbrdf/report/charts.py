@@ -48,10 +48,8 @@ def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: f
     The target is a dashed line. A dotted line falls as the root of time through the end of the last frame's.
 
     Args:
-        path: the SVG to write or replace.
         curves: of each frame, points with ``seconds`` and ``error``; only positive ones are drawn.
         target: the error asked for.
-        title: the heading.
 
     Raises:
         OutputError: the file cannot be written.

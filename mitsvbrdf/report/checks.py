@@ -41,12 +41,9 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
         views: N views as fitted.
         renderer: of the fit; None, for one that is not ours, measures nothing that needs it.
         names: of the photos, one for each view.
-        transfer: how display values encode light.
-        fixed: names of the fixed maps.
         grey_specular: whether the fit had one specular level instead of three channels.
         quick: check the fit's renderer alone, at 64 px in two views, and time nothing; else at 256 px at
             most, in 25 views at most, evenly chosen.
-        report: told what is going on and the share done.
 
     Returns:
         A record for JSON: ``quick``, ``maps`` (``low``, ``high``, ``mean`` of each), ``condition``,

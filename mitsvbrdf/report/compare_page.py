@@ -22,13 +22,10 @@ def write_compare_page(path: str | Path, record: dict, entries: Sequence[Entry],
     """Write one HTML file: the photos, the maps of each method, errors, and re-renderings beside photos.
 
     Args:
-        path: the file to write or replace.
         record: of :func:`mitsvbrdf.evaluate.compare.compare`.
-        entries: what was compared.
         capture: the N photos.
         pictures: for each method N x R x R x 3, display values, as the same call gave them.
         guess: guessed diffuse map of the photos, R x R x 3, linear.
-        reference: the known maps, if there are any.
 
     Raises:
         OutputError: the file cannot be written.

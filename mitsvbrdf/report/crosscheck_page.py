@@ -26,7 +26,6 @@ def write_crosscheck_page(path: str | Path, record: dict,
     """One self-contained HTML file: figures, error against run time, error maps, worst texels.
 
     Args:
-        path: the file to write or replace.
         record: of :func:`mitsvbrdf.verify.crosscheck.crosscheck`.
         error_maps: relative errors R x R by (material, BSDF, renderer), as the same call gave them.
 

@@ -21,7 +21,6 @@ def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
 
     Args:
         trace: one dict a measurement, with ``seconds``.
-        names: which columns.
 
     Returns:
         ``width`` and ``height``, the ``frame`` (left, top, right, bottom), ``x`` and ``y`` as (place, label)

@@ -24,10 +24,6 @@ LARGEST = 512  # pixels a side on the page
 def write_detail_page(found: Fit, into: Path) -> str | None:
     """Write ``detail.html`` of a fit: maps, a new light and the live viewer, all of its plausible detail.
 
-    Args:
-        found: the fit.
-        into: the folder to write to.
-
     Returns:
         The page's name; None where the fit has none.
 
@@ -54,9 +50,6 @@ def write_detail_page(found: Fit, into: Path) -> str | None:
 
 def unseen_view(views: Views) -> Views:
     """The view half way between two photos that is farthest from every camera.
-
-    Args:
-        views: of the photos.
 
     Returns:
         One view, its camera, light and intensity the means of two.

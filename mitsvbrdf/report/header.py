@@ -25,7 +25,6 @@ def header(found: Fit, quick: bool) -> dict:
     """Picture, verdict and textures of a fit.
 
     Args:
-        found: the fit.
         quick: a smaller picture.
 
     Returns:

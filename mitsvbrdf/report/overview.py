@@ -63,14 +63,10 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
     photos are shown.
 
     Args:
-        path: the PNG to write or replace.
-        svbrdf: the material.
         photos: N x R x R x 3, display values in [0, 1].
         rerendered: the same shape, display values in [0, 1] (``color.to_display`` of the radiance).
         rmse: the error over all photos, in display values.
-        per_photo: the error of each.
         names: a name for each photo.
-        title: the heading.
         guess: guessed diffuse map, R x R x 3, linear, or None.
         remarks: a few words beside the name of some maps, by map.
 

@@ -22,7 +22,6 @@ def write_page(path: str | Path, template: str, **context: object) -> None:
     """Render a template (which extends ``report/base.html``) into one file, beside first, then renamed.
 
     Args:
-        path: the file to write.
         template: path inside the package, such as ``report/report.html``.
         context: what the template asks for; text is escaped.
     """

@@ -22,11 +22,8 @@ def photograph(svbrdf: SVBRDF, views: Views, renderer: Renderer, noise: float = 
     """What a camera would store of a material: 8 bits, clipped, with sensor noise.
 
     Args:
-        svbrdf: the material.
         views: camera, light and intensity of each photo.
-        renderer: a :class:`mitsvbrdf.render.Renderer`.
         noise: standard deviation of normally distributed noise, in linear radiance.
-        seed: of the noise.
         transfer: how the photos encode radiance.
     """
     with torch.no_grad():

@@ -108,7 +108,6 @@ def shots(phone: HandheldPhone, spoil: Sequence[Spoil] = ()) -> list[Shot]:
     """The photos to take: good ones first, then one for each way to spoil one; file names tell nothing.
 
     Args:
-        phone: the phone.
         spoil: kinds, each at most once.
 
     Raises:

@@ -49,7 +49,6 @@ def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...
 
     Args:
         svbrdf: the material, over the whole sample.
-        phone: the phone.
         renderer: :class:`mitsvbrdf.synth.traced.HandheldRenderer`, or what makes one like it.
         spoil: extra photos that something is odd about.
 
@@ -129,7 +128,6 @@ def developed(radiance: NDArray[np.float32], lens: Lens, noise: float = 1.0, see
         radiance: H x W x 3, where 1 is white.
         lens: whose vignetting counts.
         noise: of a phone's sensor, how much.
-        seed: of the noise.
     """
     out, rng = np.empty(radiance.shape, dtype=np.uint8), np.random.default_rng(seed)
     for first in range(0, len(out), 256):  # rows: memory stays small
@@ -170,7 +168,6 @@ def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...,
     alone say where the patch is.
 
     Args:
-        folder: for the photos.
         report: is told (done, of how many) after each photo.
         about: more fields for truth.json.
 

@@ -64,7 +64,6 @@ class HandheldRenderer:
             intensity: radiant intensity of the flash: a white diffuse texel has radiance I cos / (pi d^2), d
                 in cm.
             ambient: radiance of surroundings that are everywhere the same, instead of the flash.
-            seed: of the jitter.
         """
         with using_mitsuba(self.variant) as mi:
             return self._render(mi, lens, pose, intensity, ambient, seed)

@@ -32,7 +32,6 @@ def assert_renderers_agree(
 
     Args:
         maps: the material, float32; :func:`random_material` is a hard one.
-        views: camera and light positions.
         renderers: names, or objects with ``name`` and ``render(svbrdf, views)`` like
             :class:`mitsvbrdf.render.Renderer`.
         image_mean: see :class:`Limits`; left out: what :data:`LIMITS` says of the renderer, as for the next

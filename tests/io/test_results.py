@@ -158,7 +158,7 @@ def test_a_result_that_cannot_be_exchanged_leaves_the_old_one_and_the_checkpoint
         raise OSError(errno.EBUSY, "Device or resource busy")
 
     before = there(out)
-    monkeypatch.setattr(results, "exchange", busy)
+    monkeypatch.setattr(results.files, "exchange", busy)
     with pytest.raises(OutputError, match="busy; choose a folder inside of it"):
         make(out, "fit.json", results.CHECKPOINT, overwrite=True)
     assert there(out) == before

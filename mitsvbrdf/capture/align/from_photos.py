@@ -55,7 +55,6 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
         photos: three or more, of one size.
         reference: ``best``, the photo taken most nearly from straight above; or ``first``, the first by name
             that is used.
-        report: told what is going on and the share done.
 
     Raises:
         CaptureError: fewer than three photos can be used together, with the reasons.

@@ -46,7 +46,6 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
         photos: of one lens and size, in any orientation.
         size_cm: of the frame of tags as printed, outer edge to outer edge.
         depth_cm: how far the sheet lies above the material.
-        report: told what is going on and the share done.
 
     Returns:
         The rig, with the standard deviation of each camera position; photos that do not help are in
@@ -103,7 +102,6 @@ def refuse_tags(photos: Sequence[Photo],
     """Refuse photos of a sheet without its size: the tags would pass for material.
 
     Args:
-        photos: those of a capture.
         how: what to do with the size.
     """
     count = len(find_edges(photos[0], Sheet(), patient=False).corners) if photos else 0

@@ -92,7 +92,6 @@ def starts(lens: Lens, homographies: dict[str, Array], hub: str, most: int = 3) 
 
     Args:
         homographies: from pixels of the hub to pixels of each photo, 3 x 3; that of the hub is 1.
-        most: number of starts.
     """
     inverse = np.linalg.inv(lens.matrix)
     maps = np.stack([inverse @ h @ lens.matrix for h in homographies.values()])
@@ -130,10 +129,8 @@ def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match
 
     Args:
         poses: a start; that of the hub is above the origin and stays there, but may tilt.
-        matches: between photos of ``poses``.
         focal: focal length that is expected beforehand, in pixels; that of ``lens`` is but a start.
         focal_share: deviation of the expected focal length from the true one, as a share.
-        steps: most steps.
 
     Returns:
         Lens, poses, the cost (it tells starts apart), and the focal length's standard deviation as a share.

@@ -87,9 +87,6 @@ def measured_inside(grey: NDArray, linear: NDArray[np.float32], number: int,
     """Points of a tag's edges in cells from its top left corner, in pixels, the ways across; its corners.
 
     Args:
-        grey: H x W, 8 or 16 bits.
-        linear: radiance by value of ``grey``.
-        number: id of the tag.
         corners: where they should be, within half a cell, 4 x 2 pixels.
     """
     import cv2

@@ -51,9 +51,7 @@ def shading_of_paper(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color
         rig: lens and poses; photos without a pose do not count.
         photos: by name; pixels H x W x 3 as stored (integers, or float in [0, 1]), of the lens's size or a
             whole part of it.
-        transfer: of the photos.
         white: for points of the world (K x 2) whether bare paper is there, K bools.
-        depth: z of the paper.
         albedo: of the paper, the same in all colours: what deviates is the flash's colour.
 
     Raises:
@@ -120,7 +118,6 @@ def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: co
         rig: lens and poses; photos without a pose do not count.
         photos: by name; rectified to the patch, R x R x 3 display values in [0, 1] with their vignetting, NaN
             where a photo does not reach.
-        transfer: of the photos.
 
     Raises:
         CaptureError: no photo that is neither clipped nor dark.

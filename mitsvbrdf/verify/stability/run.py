@@ -43,7 +43,6 @@ def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEP
     Args:
         renderers: from :func:`mitsvbrdf.render.make_renderer`; float64 is there without being asked for.
         sweeps: keys of :data:`SWEEPS`.
-        report: told what is going on and the share done.
 
     Returns:
         A record for JSON, without NaN; docs/results/stability.md shows it. ``violations`` lists what came out
