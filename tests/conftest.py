@@ -50,9 +50,9 @@ def coarse_spheres() -> None:
     """The sphere of each page and each export is drawn with one ray a pixel instead of 64, a second of work
     less.
     """
-    from mitsvbrdf.relight import sphere
+    from mitsvbrdf.relight import stage
 
-    sphere.SAMPLES = 1
+    stage.SAMPLES = 1
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -165,10 +165,15 @@ def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
     for folder, material in wanted.items():
         before = known.get(folder)
         if folder in names:
-            wrong = _wrong(library, before, material)
+            known_one = before and before.state == "done" and before.identity == material.identity
+            wrong = library.results.damage(before, hashes=False) if known_one else "its record is missing"
             if before and not wrong:
                 stock.done += 1
-                _restate(library, before, material, folder in shown)
+                # the result says what is said of its capture now, and is the newest of it
+                if (before.source, before.tags) != (material.source, material.tags) or folder not in shown:
+                    before = before.but(source=material.source, tags=material.tags, date=now())
+                    library.results.restate(before)
+                library.done(before)
                 continue
             stock.notes.append(f"done anew: {folder} ({wrong}; it is kept as {folder}.damaged.*)")
             results.set_aside(folder)
@@ -198,18 +203,3 @@ def _material(asked: Asked) -> Material | OutputError:
     except (OSError, UnicodeEncodeError) as error:  # no record can state such a name
         return OutputError("a capture that can be read, with a name in UTF-8", f"{source!r}: {error}",
                            "check your rights to it, and its name")
-
-
-def _wrong(library: Library, before: Material | None, material: Material) -> str:
-    """What is wrong with the folder of a result, in words; empty where nothing is."""
-    if before is None or before.state != "done" or before.identity != material.identity:
-        return "its record is missing"
-    return library.results.damage(before, hashes=False)
-
-
-def _restate(library: Library, result: Material, material: Material, shown: bool) -> None:
-    """Let a result say what is said of its capture now, and be the newest of it."""
-    if (result.source, result.tags) != (material.source, material.tags) or not shown:
-        result = result.but(source=material.source, tags=material.tags, date=now())
-        library.results.restate(result)
-    library.done(result)

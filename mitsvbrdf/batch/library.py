@@ -56,7 +56,8 @@ class Library:
     def shown(self) -> dict[str, Material]:
         """The materials that no newer one of the same capture and options takes the place of."""
         newest: dict[tuple[str, str], Material] = {}
-        for each in sorted(self.materials.values(), key=_when):
+        # what is asked for now is newer than all
+        for each in sorted(self.materials.values(), key=lambda each: (each.state == "pending", each.date)):
             newest[self.key(each)] = each
         return {each.folder: each for each in newest.values()}
 
@@ -128,8 +129,3 @@ def matches(row: dict, text: str, states: Collection[str] = ()) -> bool:
              for value in (row[name] for name in SEARCHED))
     found = any(text.casefold() in word.casefold() for word in words)
     return found and (not states or row["state"] in states)
-
-
-def _when(material: Material) -> tuple:
-    """When it was the newest of its capture; what is asked for now is newer than all."""
-    return material.state == "pending", material.date

@@ -87,15 +87,6 @@ def _check_numbers(name: str, value: object) -> None:
                           "give a number up to that")
 
 
-def _check_here() -> None:
-    """Raise ConfigError for a current folder that cannot be named. torch does not load in a deleted one."""
-    try:
-        check_names(os.getcwd())
-    except FileNotFoundError:
-        raise ConfigError("a current folder", "one that was deleted",
-                          "type cd to one that is there") from None
-
-
 def _run(arguments: list[str]) -> int:
     """Parse the arguments with the options of the command they begin with; without one, show all commands."""
     import tyro
@@ -104,7 +95,11 @@ def _run(arguments: list[str]) -> int:
     config = (tyro.conf.FlagCreatePairsOff,)
     name, *options = arguments or [""]
     if name in COMMANDS:
-        _check_here()
+        try:
+            check_names(os.getcwd())
+        except FileNotFoundError:  # torch does not load there
+            raise ConfigError("a current folder", "one that was deleted",
+                              "type cd to one that is there") from None
         check_gone(name, options)
         if name in FITTING:
             from .fit import with_flags

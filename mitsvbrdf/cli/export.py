@@ -97,7 +97,7 @@ def _tiled(svbrdf: SVBRDF, side: float | None) -> tuple[SVBRDF, float | None]:
 def _draw(folder: Path, svbrdf: SVBRDF) -> None:
     """``preview.png`` and ``thumbnail.png``; without them where Mitsuba cannot run, which no format needs."""
     from ..material.resample import area_averaged
-    from ..relight.sphere import sphere
+    from ..relight.stage import sphere
 
     try:
         picture = sphere(svbrdf, PREVIEW)

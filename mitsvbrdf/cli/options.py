@@ -116,18 +116,13 @@ def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str |
             raise ConfigError("a file of its own for each output", f"{path} for two", "give another name")
         if str(target) in sources or photos and os.path.realpath(path.parent) in _photo_folders(Path(photos)):
             raise ConfigError("an output apart from what is read", str(path), "choose another name or folder")
-        if _is_of_result(target):
+        home = next((folder for folder in target.parents if (folder / MANIFEST).is_file()), None)
+        if home is not None and str(target.relative_to(home)) in own_files(home):
             raise ConfigError("an output that is no part of a result", str(path), "choose another name")
         if path.is_file() and not overwrite:
             raise OutputError("a new file", f"{path}, which exists",
                               "add --overwrite to replace it, or choose another name")
         earlier.append(target)
-
-
-def _is_of_result(file: Path) -> bool:
-    """Whether a command put this file there with the others of its result."""
-    home = next((folder for folder in file.parents if (folder / MANIFEST).is_file()), None)
-    return home is not None and str(file.relative_to(home)) in own_files(home)
 
 
 def _photo_folders(capture: Path) -> set[str]:

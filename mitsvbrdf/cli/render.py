@@ -39,7 +39,10 @@ def render(
     options.keep_apart_from_maps(maps, out)
     svbrdf, fit = options.material_of(maps, 256, encoding, normal), options.fit_of_maps(maps)
     if diffuse == "guessed":
-        svbrdf = _with_guessed_diffuse(svbrdf, Path(maps))
+        folder = Path(maps).parent if Path(maps).name in MAP_FOLDERS else Path(maps)
+        guessed = images.read_image(folder / "guess" / "diffuse.exr", MapsError)
+        name = "diffuse" if svbrdf.bsdf == "roughconductor" else "base_color"
+        svbrdf = SVBRDF(svbrdf.bsdf, dict(svbrdf.maps) | {name: guessed})
     names, lit = options.views_of(views, fit.falloff if falloff == "auto" else falloff, fit)
     lit = shift_lights(lit, fit.flash_offset if flash_offset == "fitted" else None)
     transfer = (fit.transfer or "gamma2.2") if transfer == "auto" else transfer
@@ -49,10 +52,3 @@ def render(
             images.write_linear(folder / name, image, color.to_display(image, transfer))
     say(f"wrote {len(names)} images of {options.name_of(maps)} to {out}")
     return 0
-
-
-def _with_guessed_diffuse(svbrdf: SVBRDF, maps: Path) -> SVBRDF:
-    folder = maps.parent if maps.name in MAP_FOLDERS else maps
-    guessed = images.read_image(folder / "guess" / "diffuse.exr", MapsError)
-    name = "diffuse" if svbrdf.bsdf == "roughconductor" else "base_color"
-    return SVBRDF(svbrdf.bsdf, dict(svbrdf.maps) | {name: guessed})

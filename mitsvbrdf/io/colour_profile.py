@@ -108,8 +108,9 @@ def to_rec709(pixels: np.ndarray, chromaticities: Sequence[float]) -> np.ndarray
     Raises:
         ValueError: they span no colours.
     """
-    adapted = _adapted(chromaticities[6:], REC709[6:]) @ _to_xyz(chromaticities)
-    matrix = np.linalg.inv(_to_xyz(REC709)) @ adapted
+    cones = [BRADFORD @ (np.array((x, y, 1 - x - y)) / y) for x, y in (chromaticities[6:], REC709[6:])]
+    adapted = np.linalg.inv(BRADFORD) @ np.diag(cones[1] / cones[0]) @ BRADFORD
+    matrix = np.linalg.inv(_to_xyz(REC709)) @ (adapted @ _to_xyz(chromaticities))
     if not np.isfinite(matrix).all():
         raise ValueError(f"chromaticities {tuple(chromaticities)} span no colours")
     return pixels @ matrix.T.astype(pixels.dtype)
@@ -129,11 +130,6 @@ def _to_xyz(chromaticities: Sequence[float]) -> np.ndarray:
         return columns[:, :3] * np.linalg.solve(columns[:, :3], white)
     except np.linalg.LinAlgError:
         return np.full((3, 3), np.nan)
-
-
-def _adapted(white: Sequence[float], to: Sequence[float]) -> np.ndarray:
-    cones = [BRADFORD @ (np.array((x, y, 1 - x - y)) / y) for x, y in (white, to)]
-    return np.linalg.inv(BRADFORD) @ np.diag(cones[1] / cones[0]) @ BRADFORD
 
 
 def _transformed(pixels: np.ndarray, profile: Profile, kind: type) -> np.ndarray:

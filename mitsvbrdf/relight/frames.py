@@ -16,7 +16,7 @@ from ..io import files, images
 from ..io.entry import entry
 from ..io.json import load
 from ..io.provenance import machine, versions
-from .passes import Rendered, Stop, render_frame, shown
+from .passes import Stop, render_frame, shown
 from .stage import Stage
 
 SCHEMA_VERSION = 1
@@ -156,7 +156,13 @@ def render_stages(mi: ModuleType, stages: Sequence[Stage], stop: Stop, record: R
                                         interrupted=interrupted)
             except MapsError as error:
                 raise MapsError(error.expected, f"{error.got} in {title}", error.fix) from None
-            kept["frames"].append({"frame": number, **_kept(rendered, stage, number, folder, exposure)})
+            images.write_exr(folder / frame_file(stage, number), rendered.image)
+            if stage.frames == 1:
+                images.write_png(folder / f"{stage.name}.png", shown(rendered.image, exposure))
+            kept["frames"].append({
+                "frame": number, "file": frame_file(stage, number), "samples": rendered.samples,
+                "seconds": rendered.seconds, "error": rendered.error, "stopped": rendered.stopped,
+                "curve": list(rendered.curve)})
             record.write(folder)
             if rendered.stopped == INTERRUPTED:
                 break
@@ -178,12 +184,3 @@ def display_frames(stage: Stage, folder: Path, exposure: float = 0.0) -> Iterato
     """The frames of a preset as display values, one after the other."""
     for number in range(stage.frames):
         yield shown(images.read_image(folder / frame_file(stage, number), MitsvbrdfError), exposure)
-
-
-def _kept(rendered: Rendered, stage: Stage, number: int, folder: Path, exposure: float) -> dict:
-    name = frame_file(stage, number)
-    images.write_exr(folder / name, rendered.image)
-    if stage.frames == 1:
-        images.write_png(folder / f"{stage.name}.png", shown(rendered.image, exposure))
-    return {"file": name, "samples": rendered.samples, "seconds": rendered.seconds, "error": rendered.error,
-            "stopped": rendered.stopped, "curve": list(rendered.curve)}

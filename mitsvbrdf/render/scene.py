@@ -6,6 +6,7 @@ noise.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from types import ModuleType
 from typing import Any
@@ -59,8 +60,11 @@ class SceneRenderer(MitsubaRenderer):
         textures: dict[str, Any] = {}
         grey = GREY if needs.coloured_specular else (*GREY, "f0", f"specular_x{needs.lobes}")
 
-        def texture(slot: str) -> Any:
-            return textures.setdefault(slot, _blank_texture(mi, side, 1 if slot in grey else 3))
+        def texture(slot: str) -> Any:  # to be filled, read at texel centres without filtering
+            shape = side, side, 1 if slot in grey else 3
+            data = mi.TensorXf(dr.full(mi.Float, 0.5, math.prod(shape)), shape)
+            return textures.setdefault(slot, mi.load_dict({
+                "type": "bitmap", "data": data, "raw": True, "filter_type": "nearest", "wrap_mode": "clamp"}))
 
         scene = mi.load_dict(patch_scene(mi, side, needs, plugin(bsdf, needs, texture)))
         held = {slot: mi.traverse(texture) for slot, texture in textures.items()}
@@ -83,16 +87,6 @@ class SceneRenderer(MitsubaRenderer):
             return images
 
         return trace
-
-
-def _blank_texture(mi: ModuleType, resolution: int, channels: int) -> Any:
-    """A bitmap texture to be filled, read at texel centres without filtering."""
-    import drjit as dr
-
-    data = mi.TensorXf(dr.full(mi.Float, 0.5, resolution * resolution * channels),
-                       (resolution, resolution, channels))
-    return mi.load_dict({"type": "bitmap", "data": data, "raw": True, "filter_type": "nearest",
-                         "wrap_mode": "clamp"})
 
 
 def patch_scene(mi: ModuleType, resolution: int, needs: Needs, bsdf: dict) -> dict:

@@ -37,9 +37,12 @@ def write_quality(result: CaptureResult, folder: str | Path) -> None:
     rejected = [(photo.name, _shown(photo)) for photo in result.photos if photo.name in result.rig.rejected]
     pictures = {name: picture_uri(at_most(photo, THUMBNAIL), 0)
                 for name, photo in [*zip(result.used, result.capture.photos), *rejected] if photo is not None}
+    # light where some photo shows a highlight, dark where none does
+    coverage = torch.where((result.coverage <= HIGHLIGHT_ANGLE)[..., None], torch.tensor(SEEN),
+                           torch.tensor(UNSEEN)).float()
     title = f"Capture: {result.photos[0].path.absolute().parent.name}"
     write_page(folder / "quality.html", "report/capture.html", title=title, record=record,
-               pictures=pictures, plan=_plan(result), coverage=png_uri(_coverage_picture(result.coverage)))
+               pictures=pictures, plan=_plan(result), coverage=png_uri(coverage))
 
 
 def quality_record(result: CaptureResult) -> dict:
@@ -80,12 +83,6 @@ def _shown(photo: Photo) -> Tensor | None:
     pixels = np.rot90(pixels, -UNTURNED.get(photo.orientation, 0))
     display = torch.from_numpy(pixels / np.iinfo(pixels.dtype).max).float()
     return display.clamp(0, 1) ** (1 / 2.2) if photo.linear else display
-
-
-def _coverage_picture(angle: Tensor) -> Tensor:
-    """Light where some photo shows a highlight, dark where none does, R x R x 3."""
-    return torch.where((angle <= HIGHLIGHT_ANGLE)[..., None], torch.tensor(SEEN),
-                       torch.tensor(UNSEEN)).float()
 
 
 def _plan(result: CaptureResult) -> dict:

@@ -13,7 +13,7 @@ from ..export import ExportSettings
 from ..export.maps import write_maps
 from ..fit.result import Fit
 from ..material.maps import SVBRDF
-from ..relight.sphere import sphere
+from ..relight.stage import sphere
 from .pictures import picture_uri
 
 # texels a side of the textures: the first whose zip has at most so many bytes

@@ -17,7 +17,7 @@ from mitsvbrdf.material.conversion import as_principled
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
-from mitsvbrdf.relight import sphere
+from mitsvbrdf.relight import stage
 
 
 def test_what_is_lost_is_told_with_the_folder(tmp_path, capsys):
@@ -112,7 +112,7 @@ def test_exports_go_without_mitsuba(tmp_path, monkeypatch, capsys):
     def missing(*_):
         raise BackendError("libLLVM 19 or newer", "none", "install libllvm19")
 
-    monkeypatch.setattr(sphere, "using_mitsuba", missing)
+    monkeypatch.setattr(stage, "using_mitsuba", missing)
     assert cli.main(["export", "builtin:tiles", "--to", "gltf", "-o", str(tmp_path / "out")]) == 0
     assert "no preview: " in capsys.readouterr().out
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [".mitsvbrdf", "gltf"]

@@ -3,7 +3,7 @@
 import torch
 
 from mitsvbrdf.material.maps import SVBRDF
-from mitsvbrdf.relight.sphere import mirrored
+from mitsvbrdf.relight.stage import mirrored
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.testing import random_material
 from mitsvbrdf.views import Views

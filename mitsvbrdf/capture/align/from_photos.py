@@ -25,8 +25,19 @@ from ...errors import CaptureError
 from ..lens import Array, Lens, Pose, expected_lens, unsure_note
 from ..photo import Photo
 from ..rig import LEAST_PHOTOS, Rig, check_enough, check_places
-from .features import LEAST_INLIERS, REPROJECTION, find_features, mapped, repeats, spread
-from .pairs import SIGMA, Pair, apart, chained_pairs, find_pairs
+from .features import (
+    LEAST_INLIERS,
+    REPROJECTION,
+    SIGMA,
+    Pair,
+    apart,
+    chained_pairs,
+    find_features,
+    find_pairs,
+    mapped,
+    repeats,
+    spread,
+)
 from .patch import CENTRED, centred_square, choose_patch, framed, outline, turned, upright
 from .planar import Match, adjust, starts
 

@@ -125,7 +125,9 @@ def _figures(renderer: Renderer, case: Case, exact: Measured, photos: Tensor | N
         | {name: _relative(*pair) for name, pair in gradients.items()},
         "not_finite": {"image": _not_finite(image)}
         | {name: _not_finite(g) for name, (g, _) in gradients.items()},
-        "silenced": {name: _silenced(*pair) for name, pair in gradients.items()},
+        # entries that came back as 0 though they are not small beside the others of their texel
+        "silenced": {name: int(((got == 0) & (wanted.abs() > ABOVE_ROUNDING * wanted.norm(
+            dim=-1, keepdim=True))).sum()) for name, (got, wanted) in gradients.items()},
     }
 
 
@@ -138,12 +140,6 @@ def _relative(found: Tensor, reference: Tensor) -> float | None:
 
 def _not_finite(tensor: Tensor) -> int:
     return int((~torch.isfinite(tensor)).sum())
-
-
-def _silenced(found: Tensor, reference: Tensor) -> int:
-    """Entries that came back as 0 though they are not small beside the others of their texel."""
-    return int(
-        ((found == 0) & (reference.abs() > ABOVE_ROUNDING * reference.norm(dim=-1, keepdim=True))).sum())
 
 
 def _limit(twin: Renderer, case: Case, exact: Measured, cotangent: Tensor | None) -> dict[str, float]:

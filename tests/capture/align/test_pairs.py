@@ -10,8 +10,7 @@ import pytest
 from helpers.textured_plane import LENS, SIZE, held
 
 from mitsvbrdf.capture.align import from_photos
-from mitsvbrdf.capture.align.features import homography
-from mitsvbrdf.capture.align.pairs import SIGMA, Pair, chained_pairs
+from mitsvbrdf.capture.align.features import SIGMA, Pair, chained_pairs, homography
 from mitsvbrdf.capture.align.planar import Match
 from mitsvbrdf.capture.lens import on_plane, project
 
