@@ -71,11 +71,7 @@ def _eight_bits(frame: Tensor) -> np.ndarray:
 
 
 def av_module() -> ModuleType:
-    """PyAV.
-
-    Raises:
-        BackendError: it is not installed.
-    """
+    """PyAV."""
     try:
         import av
     except ImportError:

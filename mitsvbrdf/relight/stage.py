@@ -224,9 +224,6 @@ def sphere(svbrdf: SVBRDF, size: int = 512, variant: str = "llvm_ad_rgb") -> Ten
 
     Args:
         size: of the picture in pixels.
-
-    Raises:
-        BackendError: Mitsuba, the variant or libLLVM is missing.
     """
     half = svbrdf.resolution // 2  # a whole patch faces the camera
     covering = mirrored(svbrdf).map(lambda value: value.roll((half, half), (0, 1)))

@@ -183,9 +183,6 @@ class MitsubaRenderer:
     Args:
         variant: ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
         needs: what to compute; left out: what the scene needs.
-
-    Raises:
-        BackendError: Mitsuba, the variant or libLLVM is missing.
     """
 
     name: str

@@ -27,11 +27,7 @@ SEEN, UNSEEN = (0.93, 0.80, 0.50), (0.36, 0.42, 0.50)
 
 
 def write_quality(result: CaptureResult, folder: str | Path) -> None:
-    """Write ``quality.json`` and ``quality.html``.
-
-    Raises:
-        OutputError: the folder cannot be written to.
-    """
+    """Write ``quality.json`` and ``quality.html``."""
     folder, record = Path(folder), quality_record(result)
     files.write_json(folder / "quality.json", record)
     rejected = [(photo.name, _shown(photo)) for photo in result.photos if photo.name in result.rig.rejected]

@@ -50,9 +50,6 @@ def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: f
     Args:
         curves: of each frame, points with ``seconds`` and ``error``; only positive ones are drawn.
         target: the error asked for.
-
-    Raises:
-        OutputError: the file cannot be written.
     """
     figure = Figure(figsize=(6.4, 3.4), layout="constrained")
     axes = figure.subplots()

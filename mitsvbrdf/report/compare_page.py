@@ -26,9 +26,6 @@ def write_compare_page(path: str | Path, record: dict, entries: Sequence[Entry],
         capture: the N photos.
         pictures: for each method N x R x R x 3, display values, as the same call gave them.
         guess: guessed diffuse map of the photos, R x R x 3, linear.
-
-    Raises:
-        OutputError: the file cannot be written.
     """
     methods, side = record["methods"], record["resolution"]
     rows = ([] if reference is None

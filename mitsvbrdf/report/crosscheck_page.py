@@ -28,9 +28,6 @@ def write_crosscheck_page(path: str | Path, record: dict,
     Args:
         record: of :func:`mitsvbrdf.verify.crosscheck.crosscheck`.
         error_maps: relative errors R x R by (material, BSDF, renderer), as the same call gave them.
-
-    Raises:
-        OutputError: the file cannot be written.
     """
     maps = {key: png_uri(error_picture(error, MOST_SHOWN, LEAST_SHOWN)) for key, error in error_maps.items()}
     ramp = torch.logspace(-8, -4, 256, dtype=torch.float64).expand(16, 256)

@@ -26,10 +26,6 @@ def write_detail_page(found: Fit, into: Path) -> str | None:
 
     Returns:
         The page's name; None where the fit has none.
-
-    Raises:
-        MapsError: the maps cannot be read.
-        OutputError: the page cannot be written.
     """
     if found.detail is None:
         return None

@@ -30,9 +30,6 @@ class LivePage:
     Args:
         folder: where the result is being made; the page lies in it as ``live.html``.
         out: where the result will appear.
-
-    Raises:
-        OutputError: the folder cannot be written.
     """
 
     def __init__(self, folder: Path, out: Path) -> None:
@@ -40,22 +37,10 @@ class LivePage:
         self.out = quote(Path(os.path.relpath(os.path.realpath(out), os.path.realpath(folder))).as_posix())
         self.name = out.name
         files.write_bytes(folder / MARK, b'<svg xmlns="http://www.w3.org/2000/svg" width="1" height="1"/>')
-        self._write(None)
+        self(None)
 
-    def __call__(self, state: LiveState) -> None:
-        """Rewrite the page, in one step.
-
-        Raises:
-            OutputError: it cannot be written.
-        """
-        self._write(state)
-
-    def end(self) -> None:
-        """Take the page away: the report follows in its place."""
-        for name in (PAGE, MARK):
-            self.path.with_name(name).unlink(missing_ok=True)
-
-    def _write(self, fit: LiveState | None) -> None:
+    def __call__(self, fit: LiveState | None) -> None:
+        """Rewrite the page, in one step; None: nothing is known yet."""
         best = fit and min(fit.trace, key=lambda row: row["rerender_rmse"], default=None)
         svbrdf = fit and fit.svbrdf
         maps = [(TITLES[name], picture_uri(shown_map(name, svbrdf[name]).nan_to_num()))
@@ -65,3 +50,8 @@ class LivePage:
                    curves=error_and_losses(fit.trace) if fit else [], out=self.out, name=self.name, mark=MARK,
                    ended=fit and fit.stopped and ENDED.get(fit.stopped, fit.stopped),
                    written=time.time(), clock=time.strftime("%H:%M:%S"))
+
+    def end(self) -> None:
+        """Take the page away: the report follows in its place."""
+        for name in (PAGE, MARK):
+            self.path.with_name(name).unlink(missing_ok=True)

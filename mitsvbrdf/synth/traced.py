@@ -40,9 +40,6 @@ class HandheldRenderer:
         depth: of the sample under the sheet in cm.
         samples: rays a pixel, stratified and jittered: 1, 4, 16, ...
         variant: the Mitsuba variant.
-
-    Raises:
-        BackendError: Mitsuba, the variant or libLLVM is missing.
     """
 
     def __init__(self, svbrdf: SVBRDF, side: float, sheet: Sheet | None = None, depth: float = 0.0,

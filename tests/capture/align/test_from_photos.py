@@ -18,8 +18,7 @@ from helpers.textured_plane import (
     texture,
 )
 
-from mitsvbrdf.capture.align import pairs
-from mitsvbrdf.capture.align.features import find_features
+from mitsvbrdf.capture.align.features import find_features, find_pairs
 from mitsvbrdf.capture.align.from_photos import rig_from_photos
 from mitsvbrdf.capture.align.patch import upright
 from mitsvbrdf.capture.lens import Pose, project
@@ -66,8 +65,8 @@ def test_reference(nine, nine_rig):
 
 def test_photos_left_alone_by_few_features_are_compared_by_all(nine, monkeypatch):
     features = {photo.name: find_features(photo) for photo in nine[1][:3]}
-    monkeypatch.setattr(pairs, "FEW_FEATURES", 20)
-    assert all(pair.count > 100 for pair in pairs.find_pairs(features, SIZE, lambda share: None))
+    monkeypatch.setattr("mitsvbrdf.capture.align.features.FEW_FEATURES", 20)
+    assert all(pair.count > 100 for pair in find_pairs(features, SIZE, lambda share: None))
 
 
 def quarter(pose):
