@@ -40,10 +40,8 @@ def check_arguments(function: Callable, args: tuple, kwargs: Mapping[str, Any]) 
 
 
 def check_fields(instance: Any, *names: str) -> None:
-    """Raise ConfigError for the first of these fields of a dataclass that is not of its annotation's kind.
-
-    Args:
-        names: of the fields. Default: all.
+    """Raise ConfigError for the first of these fields of a dataclass, or of all, that is not of its
+    annotation's kind.
     """
     owner: Any = type(instance)
     hints, _ = _about(owner)

@@ -164,10 +164,8 @@ class Views:
             yield View(tuple(camera), tuple(light), tuple(intensity))
 
     def carried(self, shift: Tensor) -> Views:
-        """Cameras and lights moved together. A point that moves with them keeps its lighting.
-
-        Args:
-            shift: N x 3 or 3, in the unit of the positions.
+        """Cameras and lights moved together by N x 3 or 3, in the unit of the positions. A point that moves
+        with them keeps its lighting.
         """
         moved = replace(self, camera=self.camera + shift, light=self.light + shift)
         if self.falloff == "inverse-square":

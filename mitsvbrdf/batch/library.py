@@ -25,11 +25,7 @@ SORTS = {"name": "Name", "error": "Error", "held_out_error": "Held-out error", "
 
 
 class Library:
-    """The materials of a library, read once and kept up to date by whoever changes it.
-
-    Args:
-        results: where it lies.
-    """
+    """The materials of the library ``results``, read once and kept up to date by whoever changes it."""
 
     def __init__(self, results: ResultStore) -> None:
         self.results, self.materials = results, results.materials()
@@ -71,10 +67,8 @@ class Library:
         return Counter(each.state for each in self.shown().values())
 
     def rows(self, replaced: bool = False) -> list[dict]:
-        """One row a material, as ``library.json`` has it, in the order of their names.
-
-        Args:
-            replaced: asks for the materials that a newer one took the place of, and not for those shown.
+        """One row a material, as ``library.json`` has it, in the order of their names; or with ``replaced``
+        those that a newer one took the place of.
         """
         shown = self.shown()
         found = (each for folder, each in self.materials.items() if (folder not in shown) == replaced)
@@ -95,10 +89,8 @@ class Library:
                 **{name: f"{folder}/{file}" if file in there else None for name, file in FILES.items()}}
 
     def write(self, progress: str = "") -> None:
-        """Write ``library.json``, for pandas and others, and the page.
-
-        Args:
-            progress: how the batch that is at work stands, in words; empty where none is.
+        """Write ``library.json``, for pandas and others, and the page, with the words of how a batch stands
+        that is at work.
         """
         write = self.results.store.write
         told = {"title": self.results.title, "made": now(), "version": __version__, "progress": progress,

@@ -39,11 +39,7 @@ NO_SPACE = errno.ENOSPC, errno.EDQUOT
 
 
 class ResultStore:
-    """A library.
-
-    Args:
-        address: its folder, or its URL.
-    """
+    """A library, by its folder or its URL."""
 
     def __init__(self, address: str) -> None:
         self.address = address.rstrip("/") if is_url(address) else os.path.realpath(address)
@@ -68,10 +64,8 @@ class ResultStore:
         return {each.folder: each for each in (*failed, *map(self.result, self.names())) if each}
 
     def damage(self, result: Material, hashes: bool) -> str:
-        """What is wrong with the files of a result, in words; empty where nothing is.
-
-        Args:
-            hashes: whether contents are compared, not only sizes.
+        """What is wrong with the files of a result, in words; empty where nothing is. ``hashes`` compares
+        contents, not only sizes.
         """
         there = self.store.objects(result.folder)
         for name, stated in result.files.items():

@@ -42,9 +42,7 @@ GONE = "run the same command again: it goes on"
 class RayTasks:
     """Fits that run on Ray; a context, which starts Ray or joins it, and ends what is its own.
 
-    Args:
-        settings: of the batch.
-        function: yields who does a task, then what came of it; loaded by each node from its own package.
+    ``function`` yields who does a task, then what came of it. Each node loads it from its own package.
     """
 
     def __init__(self, settings: BatchSettings,

@@ -125,9 +125,8 @@ def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
 def estimate_views(capture: Capture) -> EstimatedViews:
     """The most probable views of photos of an unknown material; a few seconds. See the module.
 
-    Args:
-        capture: N >= 3 photos that :func:`why_not` has nothing against; its views are not looked at, but for
-            their unit.
+    The capture has 3 photos or more that :func:`why_not` has nothing against. Of its views only their unit is
+    looked at.
     """
     problem = Problem(capture)
     start = np.zeros(problem.layout.size)

@@ -110,11 +110,8 @@ class Photo:
                                                gamma=(1, 1), user_flip=0, adjust_maximum_thr=0.0))
 
     def pixels(self, most: int | None = None) -> np.ndarray:
-        """The pixels of :meth:`read`, H x W x 3, 8 or 16 bits.
-
-        Args:
-            most: pixels of the long side; a longer one is divided by the least whole number that makes it
-                short enough, by area averages.
+        """The pixels of :meth:`read`, H x W x 3, 8 or 16 bits. A long side of more than ``most`` pixels is
+        divided by the least whole number that makes it short enough, by area averages.
         """
         image = self.read().pixels
         with _readable(self.path):

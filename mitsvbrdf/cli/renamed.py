@@ -29,9 +29,6 @@ def with_new_names(arguments: Sequence[str]) -> list[str]:
     """Arguments with old names of commands and options replaced, each said once on standard error.
 
     Only whole words change: the value of ``--name=--detail-spread`` stays, and so does all after ``--``.
-
-    Args:
-        arguments: of the command line, the command among them.
     """
     place = next((i for i, word in enumerate(arguments) if not word.startswith("-")), None)
     if place is None:

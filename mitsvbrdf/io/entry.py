@@ -32,10 +32,8 @@ _undo: dict[str, Callable[[], object]] = {}  # by what else was changed for them
 def entry(gradients: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]:
     """Makes a function one that a program may call under defaults of its own, and with wrong arguments.
 
-    An argument of another kind than its annotation raises ConfigError.
-
-    Args:
-        gradients: whether the function records gradients even where its caller has switched that off.
+    An argument of another kind than its annotation raises ConfigError. With ``gradients`` the function
+    records them even where its caller has switched that off.
     """
     def decorated(function: Callable[P, T]) -> Callable[P, T]:
         @functools.wraps(function)
@@ -74,11 +72,8 @@ def _float32() -> Iterator[None]:
 
 
 def put_back(what: str, undo: Callable[[], object]) -> None:
-    """Undo a change of what the process has once: after the last call behind the edge, or now without one.
-
-    Args:
-        what: was changed; of several changes the first is undone.
-        undo: puts back what was found.
+    """Undo a change of what the process has once: after the last call behind the edge, or now without one. Of
+    several changes of the same thing the first is undone.
     """
     with _lock:
         if _calls:

@@ -202,13 +202,8 @@ def read_file(path: Path, name: str, channels: int) -> Tensor:
 
 
 def read_map(source: Source, name: str, channels: int, code: str, way: str = OVERRULE) -> Tensor:
-    """One map from its file, linear, H x W x ``channels``.
-
-    Args:
-        code: the encoding of a file of 8 or 16 bits; of normals ``gl``, ``dx`` or empty.
-
-    Raises:
-        MapsError: no image, or one that is not finite, or that is no such map.
+    """One map from its file, linear, H x W x ``channels``. ``code`` is the encoding of a file of 8 or 16
+    bits; of normals ``gl``, ``dx`` or empty.
     """
     assert source.path is not None
     path, exr = source.path, source.path.suffix.lower() == ".exr"

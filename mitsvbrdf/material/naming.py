@@ -54,11 +54,8 @@ class Source(NamedTuple):
 
 
 def kind_of(stem: str, dropped: int = 0) -> tuple[str, ...]:
-    """The map that a file's name means, or those of its three channels; nothing where it means none.
-
-    Args:
-        stem: the name without its suffix.
-        dropped: how many words at its beginning are not looked at.
+    """The map that a file's name (without suffix) means, or those of its three channels; nothing where it
+    means none. So many words at its beginning are not looked at.
     """
     parts = words(stem)[dropped:]
     if parts and parts[-1] in PACKED:

@@ -17,10 +17,8 @@ CAMERA, INTEGRATOR = "rectified_camera", "point_lit"
 
 
 def shading_axes(normal: Any) -> tuple[Any, Any, Any]:
-    """Tangent, bitangent and normal of a shading frame; the lobes are isotropic, so any tangents will do.
-
-    Args:
-        normal: float64 Dr.Jit 3-vectors with z > 0, of any length.
+    """Tangent, bitangent and normal of a shading frame; the lobes are isotropic, so any tangents will do. The
+    normals are float64 Dr.Jit 3-vectors with z > 0, of any length.
     """
     import drjit as dr
 

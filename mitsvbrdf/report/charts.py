@@ -46,10 +46,7 @@ def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: f
     """Write an SVG of the estimated error of renders against seconds, one line a frame, logarithmic axes.
 
     The target is a dashed line. A dotted line falls as the root of time through the end of the last frame's.
-
-    Args:
-        curves: of each frame, points with ``seconds`` and ``error``; only positive ones are drawn.
-        target: the error asked for.
+    A curve has points with ``seconds`` and ``error``, of which positive ones are drawn.
     """
     figure = Figure(figsize=(6.4, 3.4), layout="constrained")
     axes = figure.subplots()

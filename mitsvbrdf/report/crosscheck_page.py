@@ -25,9 +25,8 @@ def write_crosscheck_page(path: str | Path, record: dict,
                           error_maps: Mapping[tuple[str, str, str], Tensor]) -> None:
     """One self-contained HTML file: figures, error against run time, error maps, worst texels.
 
-    Args:
-        record: of :func:`mitsvbrdf.verify.crosscheck.crosscheck`.
-        error_maps: relative errors R x R by (material, BSDF, renderer), as the same call gave them.
+    The record and the error maps (R x R, by material, BSDF and renderer) are those of one call of
+    :func:`mitsvbrdf.verify.crosscheck.crosscheck`.
     """
     maps = {key: png_uri(error_picture(error, MOST_SHOWN, LEAST_SHOWN)) for key, error in error_maps.items()}
     ramp = torch.logspace(-8, -4, 256, dtype=torch.float64).expand(16, 256)

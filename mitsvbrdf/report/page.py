@@ -21,9 +21,8 @@ if TYPE_CHECKING:
 def write_page(path: str | Path, template: str, **context: object) -> None:
     """Render a template (which extends ``report/base.html``) into one file, beside first, then renamed.
 
-    Args:
-        template: path inside the package, such as ``report/report.html``.
-        context: what the template asks for; text is escaped.
+    It is named by its path inside the package, such as ``report/report.html``. Text of the context is
+    escaped.
     """
     text = page_text(template, **context)
     with files.atomic_write(Path(path)) as temporary:

@@ -25,21 +25,12 @@ def magma(share: Tensor) -> Tensor:
 
 
 def png_uri(display: Tensor) -> str:
-    """A picture for ``<img src>``, exact to 8 bits.
-
-    Args:
-        display: H x W x 3 (or x 1), display values; clipped to [0, 1].
-    """
+    """A picture for ``<img src>``, exact to 8 bits, of display values H x W x 3 (or x 1), clipped."""
     return _uri(display, "png")
 
 
 def picture_uri(display: Tensor, exact_up_to: int = 64 * 1024) -> str:
-    """A picture for ``<img src>``: a PNG while that is small, else a JPEG of quality 85.
-
-    Args:
-        display: H x W x 3 (or x 1), display values; clipped to [0, 1].
-        exact_up_to: bytes that the PNG may have.
-    """
+    """A picture as of :func:`png_uri`: a PNG of so many bytes at most, else a JPEG of quality 85."""
     import cv2
 
     exact = png_uri(display)

@@ -122,13 +122,7 @@ def spoiled(radiance: NDArray[np.float32], kind: Spoil | None) -> NDArray[np.flo
 
 def developed(radiance: NDArray[np.float32], lens: Lens, noise: float = 1.0, seed: int | Sequence[int] = 0
               ) -> NDArray[np.uint8]:
-    """Radiance as the phone stores it: vignetting, noise, clipping, sRGB, 8 bits.
-
-    Args:
-        radiance: H x W x 3, where 1 is white.
-        lens: whose vignetting counts.
-        noise: of a phone's sensor, how much.
-    """
+    """Radiance (H x W x 3, 1 is white) as the phone stores it: vignetting, noise, clipping, sRGB, 8 bits."""
     out, rng = np.empty(radiance.shape, dtype=np.uint8), np.random.default_rng(seed)
     for first in range(0, len(out), 256):  # rows: memory stays small
         rows = slice(first, first + 256)

@@ -70,10 +70,8 @@ def find_features(photo: Photo, mirror: bool = False) -> Features:
 
 
 def match(a: Features, b: Features, most: int = MOST_FEATURES) -> NDArray[np.intp]:
-    """Pairs (M x 2: index in a, in b) that are each other's nearest, clearly nearer than the second best.
-
-    Args:
-        most: only so many of the strongest features of each are looked at.
+    """Pairs (M x 2: index in a, in b) that are each other's nearest, clearly nearer than the second best, of
+    so many of the strongest features of each.
     """
     import torch
 

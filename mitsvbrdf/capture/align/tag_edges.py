@@ -39,11 +39,8 @@ CORNERS = np.array([[0, 0], [TAG, 0], [TAG, TAG], [0, TAG]], dtype=np.float64)
 
 
 def profile_values(grey: NDArray, linear: NDArray[np.float32], corners: Array, at: Array) -> Array:
-    """Radiance at pixels ``at`` (... x 2) around a tag with these corners (4 x 2); NaN beyond the photo.
-
-    Args:
-        grey: H x W, 8 or 16 bits.
-        linear: radiance by value of ``grey``.
+    """Radiance at pixels ``at`` (... x 2) around a tag with these corners (4 x 2); NaN beyond the photo. It
+    is ``linear`` by value of ``grey``, H x W of 8 or 16 bits.
     """
     import cv2
 
@@ -95,10 +92,8 @@ EDGES = [_edges(number) for number in range(len(CODES))]
 
 def measured_inside(grey: NDArray, linear: NDArray[np.float32], number: int,
                     corners: Array) -> Measured | None:
-    """Points of a tag's edges in cells from its top left corner, in pixels, the ways across; its corners.
-
-    Args:
-        corners: where they should be, within half a cell, 4 x 2 pixels.
+    """Points of a tag's edges in cells from its top left corner, in pixels, the ways across; its corners,
+    which lie within half a cell of those given (4 x 2 pixels).
     """
     import cv2
 
@@ -175,10 +170,8 @@ class Edges:
 
 
 def find_edges(photo: Photo, sheet: Sheet, patient: bool = True) -> Edges:
-    """The tags of a photo, which is read at no more than 4100 pixels a side.
-
-    Args:
-        patient: whether a photo that hardly shows any is searched by other means, for what may be wrong, too.
+    """The tags of a photo, which is read at no more than 4100 pixels a side. With patience, a photo that
+    hardly shows any is searched by other means, for what may be wrong, too.
     """
     import cv2
 

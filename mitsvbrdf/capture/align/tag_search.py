@@ -28,10 +28,8 @@ WIDER = {"adaptiveThreshWinSizeMin": 23, "adaptiveThreshWinSizeMax": 143, "adapt
 
 
 def detected(grey: NDArray[np.uint8], **options: Any) -> dict[int, Array]:
-    """Corners of the tags (4 x 2) by id; a tag that is seen twice is none.
-
-    Args:
-        options: of OpenCV's ``DetectorParameters``.
+    """Corners of the tags (4 x 2) by id; a tag that is seen twice is none. Options are those of OpenCV's
+    ``DetectorParameters``.
     """
     import cv2
 

@@ -50,11 +50,8 @@ class Lit:
     @classmethod
     def of(cls, rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Paper | None = None,
            depth: float = 0.0) -> Lit:
-        """The light of the photos that ``rig`` has poses of.
-
-        Args:
-            paper: of the sheet around the material; None: there is none.
-            depth: z of the paper, cm.
+        """The light of the photos that ``rig`` has poses of; ``depth`` is the z of the paper of a sheet, in
+        cm.
         """
         given = [name for name in rectified.pictures if name in rig.poses]
         rig = replace(rig, poses={name: rig.poses[name] for name in given})

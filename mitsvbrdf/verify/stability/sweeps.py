@@ -83,11 +83,8 @@ class Case:
 
 def material(bsdf: Bsdf = "roughconductor", side: int = CASE_SIDE, normal: Tensor | None = None,
              **values: float | tuple | Tensor) -> SVBRDF:
-    """Random maps: F0 0.02 to 0.92, roughness 0.15 to 0.95, normals tilted by about 8 degrees.
-
-    Args:
-        normal: R x R x 3.
-        values: by map name: a number, a colour, or a map.
+    """Random maps: F0 0.02 to 0.92, roughness 0.15 to 0.95, normals tilted by about 8 degrees. Values by map
+    name are numbers, colours or maps.
     """
     rng = torch.Generator().manual_seed(0)
     maps = {name: torch.rand(side, side, channels, generator=rng)
@@ -116,10 +113,8 @@ def aimed(bsdf: Bsdf, views: Views, roughness: float) -> SVBRDF:
 
 
 def tilted(degrees: float, towards: float | None = None) -> Tensor:
-    """Normals at this angle to the patch's, R x R x 3; azimuths alternate: random, along an axis.
-
-    Args:
-        towards: one azimuth for all, degrees from x towards y.
+    """Normals at this angle to the patch's, R x R x 3. Azimuths alternate: random, along an axis; or all are
+    ``towards`` one, degrees from x towards y.
     """
     angle = torch.deg2rad(torch.tensor(degrees, dtype=torch.float64))
     azimuth = 2 * torch.pi * torch.rand(CASE_SIDE, CASE_SIDE, generator=torch.Generator().manual_seed(2),
