@@ -119,7 +119,7 @@ def killed(shape: Shape, out: Path, point: int) -> bool:
 
         for name in CALLS:
             setattr(os, name, functools.partial(counted, getattr(os, name)))
-        results.exchange = functools.partial(counted, results.exchange)
+        files.exchange = functools.partial(counted, files.exchange)
         with contextlib.redirect_stdout(io.StringIO()):
             shape.run(out)
         os._exit(0)
