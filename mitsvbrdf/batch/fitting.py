@@ -93,13 +93,10 @@ def _outcome(results: ResultStore, material: Material, attempt: str) -> dict:
 
 
 def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
-    """Fit a capture and write the result, its page where wanted, and its preview.
+    """Fit a capture and write the result, its page where wanted, and its preview; gives its row without
+    seconds.
 
-    Args:
-        asked: ``config``, ``options``, ``pages`` and ``sheet``, as ``Asked.record`` has them.
-
-    Returns:
-        Its row without seconds.
+    ``asked`` has ``config``, ``options``, ``pages`` and ``sheet``, as ``Asked.record`` has them.
     """
     from ..capture import read_capture
     from ..fit import fit_svbrdf

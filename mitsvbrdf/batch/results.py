@@ -109,17 +109,11 @@ class ResultStore:
             shutil.rmtree(folder, ignore_errors=True)
 
     def publish(self, made: Path, result: Material) -> bool:
-        """Let a result appear under its name; False, and nothing changes, where a whole one is there.
+        """Let a result, made in a folder of :meth:`building`, appear under its name; False, and nothing
+        changes, where a whole one is there.
 
         In a folder one rename does it, after all files are on the disk. In a store the record is put last,
-        without which the rest counts for nothing.
-
-        Args:
-            made: its files, in a folder of :meth:`building`.
-            result: its record; ``files`` is counted here.
-
-        Raises:
-            OutputError: a newer batch took the folder away meanwhile; what is there now may lack files.
+        without which the rest counts for nothing. OutputError: a newer batch took the folder away meanwhile.
         """
         if self.result(result.folder) is not None:
             return False
@@ -177,10 +171,8 @@ class ResultStore:
     def claimed(self) -> Iterator[str]:
         """Hold the library for this process alone; gives the token that all nodes must see in it.
 
-        Nothing holds a library in an object store.
-
-        Raises:
-            OutputError: another batch has it, the folder is no library, or it cannot be written.
+        Nothing holds a library in an object store. OutputError: another batch has it, the folder is no
+        library, or it cannot be written.
         """
         try:
             with contextlib.ExitStack() as held:

@@ -50,11 +50,7 @@ class Store:
         self.root = root.rstrip("/")
 
     def path(self, name: str) -> str:
-        """Where a file lies, as its system names it.
-
-        Raises:
-            OutputError: behind a link, or outside of the folder.
-        """
+        """Where a file lies, as its system names it; OutputError behind a link, or outside of the folder."""
         if self.folder and name and inside(self.folder, name) is None:
             raise OutputError("a library without links in it", f"{self.folder / name}", "move the link away")
         return f"{self.root}/{name}" if name else self.root

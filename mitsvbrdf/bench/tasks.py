@@ -100,13 +100,8 @@ Task = KnownMaterial | RealCapture
 
 def known_material(name: str, resolution: int, views: Views, renderer: Renderer,
                    seen_from: str = "builtin:grid") -> KnownMaterial:
-    """A task from ``builtin:NAME`` or a folder of maps: 8-bit photos without noise.
-
-    Args:
-        seen_from: what these views are called in records.
-
-    Raises:
-        MapsError, ConfigError: no such material.
+    """A task from ``builtin:NAME`` or a folder of maps: 8-bit photos without noise, from views that records
+    call ``seen_from``.
     """
     if name.startswith("builtin:"):
         truth, folder = make_material(name.removeprefix("builtin:"), resolution), None
@@ -117,14 +112,7 @@ def known_material(name: str, resolution: int, views: Views, renderer: Renderer,
 
 
 def real_capture(folder: Path, resolution: int, held_out: Sequence[int] = HELD_OUT) -> RealCapture:
-    """A task from a folder of photos.
-
-    Args:
-        held_out: numbers of the photos that no fit sees.
-
-    Raises:
-        CaptureError, ConfigError: photos that cannot be used, or all of them held out.
-    """
+    """A task from a folder of photos, of which those with the numbers ``held_out`` no fit sees."""
     shots = read_capture(folder, resolution=resolution)
     seen = [i for i in shots.index if i not in held_out]
     if not seen:

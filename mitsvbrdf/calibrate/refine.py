@@ -187,9 +187,6 @@ class Problem:
     photo (``own``), and two for the offset of the flash that all share (``common_flash``). The cost is |u|^2
     / 2 plus, for each photo, the sum of Huber's function of residuals over noise, divided by the number of
     pixels that count as one.
-
-    Args:
-        svbrdf, views, capture, priors: as for :func:`refine_views`.
     """
 
     def __init__(self, svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors) -> None:

@@ -33,14 +33,7 @@ MOST = {"resolution": 16384, "size": 16384, "repeats": 10_000, "frames": 100_000
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run a command.
-
-    Args:
-        arguments: the command and its options; of the process by default.
-
-    Returns:
-        The exit code.
-    """
+    """Run the command of these arguments, of the process by default; gives the exit code."""
     arguments = with_new_names(sys.argv[1:] if arguments is None else arguments)
     if arguments == ["--version"]:
         print(f"mitsvbrdf {__version__}")

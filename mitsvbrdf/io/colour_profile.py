@@ -52,11 +52,7 @@ class Profile(NamedTuple):
 
 
 def profile_of(image: Image, path: Path) -> Profile | None:
-    """The profile that a picture states; None for sRGB's and for none.
-
-    Args:
-        image: opened by Pillow, its pixels not read yet.
-    """
+    """The profile that a picture states whose pixels are not read yet; None for sRGB's and for none."""
     points = _cicp(path) if image.format == "PNG" else image.info.get("nclx_profile")
     icc = image.info.get("icc_profile")
     if points and (image.format == "PNG" or not icc):
@@ -71,14 +67,9 @@ def profile_of(image: Image, path: Path) -> Profile | None:
 
 
 def to_srgb(pixels: np.ndarray, profile: Profile) -> tuple[np.ndarray, float]:
-    """Pixels of a profile as sRGB display values.
+    """Pixels of a profile (H x W x 3 of 8 or 16 bits; equal channels of a grey one) as sRGB of 16 bits.
 
-    Args:
-        pixels: H x W x 3 of 8 or 16 bits; of a grey profile the channels are equal.
-
-    Returns:
-        H x W x 3 of 16 bits, and the share of pixels whose colours lie outside of sRGB and were moved to its
-        edge.
+    Also gives the share of pixels whose colours lie outside of sRGB and were moved to its edge.
     """
     if profile.grey:
         return _transformed(np.ascontiguousarray(pixels[..., 0]), profile, np.uint16), 0.0

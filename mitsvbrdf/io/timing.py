@@ -37,12 +37,8 @@ def in_turns(jobs: Mapping[K, Callable[[], T]], repeats: int = 5, unmeasured: in
              report: Callable[[float], object] = lambda share: None) -> dict[K, list[T]]:
     """Run all jobs in turn, again and again: drift of the machine hits all alike.
 
-    Args:
-        repeats: turns that count.
-        unmeasured: turns before these, which compile and warm up; 0 for jobs that have run already.
-
-    Returns:
-        What each job returned in the turns that count.
+    Turns before those that count, ``unmeasured``, compile and warm up; 0 for jobs that have run already.
+    Gives what each job returned in the turns that count.
     """
     found: dict[K, list[T]] = {name: [] for name in jobs}
     for turn in range(unmeasured + repeats):

@@ -132,10 +132,8 @@ def _joined(layers: Tensor, looks: Tensor, overlap: int) -> Tensor:
 
 
 def _closed_cut(error: Tensor) -> tuple[Tensor, float]:
-    """The closed path of least error from top to bottom, at most one column a row.
-
-    Returns:
-        The column of each row, and the mean error.
+    """The closed path of least error from top to bottom, at most one column a row; its columns and mean
+    error.
     """
     width = error.shape[1]
     # by start and present column

@@ -136,11 +136,10 @@ def render_passes(draw: Callable[[int, int], Tensor], stop: Stop, *, pixels: int
 def render_frame(mi: ModuleType, scene: Any, stop: Stop, *, seed: int = 0, name: str = "",
                  exposure: float = 0.0, report: Callable[[str, float], object] = lambda text, share: None,
                  interrupted: Sequence = ()) -> Rendered:
-    """Render a loaded Mitsuba scene with its own sensor and integrator; see :func:`render_passes`.
+    """Render a loaded Mitsuba scene with its own sensor, integrator and independent sampler; see
+    :func:`render_passes`.
 
-    Args:
-        scene: as ``mi.load_dict`` gives it, its sampler ``independent``.
-        name: of the frame; frames of different names have different random numbers.
+    Frames of different names have different random numbers.
     """
     first = zlib.crc32(f"{seed} {name}".encode())
 

@@ -28,11 +28,8 @@ MIN_ALPHA = {"roughconductor": 1e-4, "principled": MIN_ALPHA_PRINCIPLED}
 
 
 class AnalyticRenderer:
-    """Renders with torch; see :class:`mitsvbrdf.render.Renderer`.
-
-    Args:
-        dtype: float32 or float64 (the truth).
-        needs: what to compute; left out: what the scene needs.
+    """Renders with torch in float32 or float64 (the truth); see :class:`mitsvbrdf.render.Renderer`. It
+    computes what a scene needs, or ``needs``.
     """
 
     variant = None

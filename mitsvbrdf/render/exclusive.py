@@ -178,11 +178,8 @@ def _gradients(ctx: Any, inputs: Sequence[Tensor], cotangent: Tensor) -> list[Te
 
 
 class MitsubaRenderer:
-    """What both of Mitsuba's renderers are made of; see :class:`mitsvbrdf.render.Renderer`.
-
-    Args:
-        variant: ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
-        needs: what to compute; left out: what the scene needs.
+    """What both of Mitsuba's renderers are made of; see :class:`mitsvbrdf.render.Renderer`. It computes what
+    a scene needs, or ``needs``.
     """
 
     name: str

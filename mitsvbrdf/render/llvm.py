@@ -67,9 +67,7 @@ class LLVM(NamedTuple):
 
 def use_llvm() -> LLVM:
     """The libLLVM for this process, proved; sets ``DRJIT_LIBLLVM_PATH`` unless Dr.Jit is loaded already.
-
-    Raises:
-        BackendError: none works; the message says what to install.
+    Where none works BackendError says what to install.
     """
     if importlib.util.find_spec("drjit") is None:
         raise BackendError("Dr.Jit and Mitsuba 3", "no drjit in this Python", "pip install mitsuba")
@@ -214,9 +212,7 @@ def set_variant(mi: ModuleType, variant: str) -> None:
 
 def mitsuba_module(variant: str = "llvm_ad_rgb") -> ModuleType:
     """The ``mitsuba`` module with this variant set; ``using_mitsuba`` also sets the earlier one back.
-
-    Raises:
-        BackendError: Mitsuba, the variant, a GPU or libLLVM is missing.
+    BackendError: one of them, a GPU or libLLVM is missing.
     """
     cuda = variant.startswith("cuda")
     with PROCESS:  # the first import does not bear a second thread

@@ -34,11 +34,8 @@ class SceneRenderer(MitsubaRenderer):
 
     @entry()
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
-        """Linear radiance N x R x R x 3, float32; gradients to the maps.
-
-        Raises:
-            ConfigError: camera or light asks for a gradient, which emitters and sensors called by a ray do
-                not carry.
+        """Linear radiance N x R x R x 3, float32; gradients to the maps, but not to camera and light:
+        emitters and sensors called by a ray carry none.
         """
         if any(t.requires_grad for t in (views.camera, views.light, views.intensity)):
             raise ConfigError("views held fixed", "a gradient asked of camera, light or intensity",

@@ -45,11 +45,7 @@ def write_detail_page(found: Fit, into: Path) -> str | None:
 
 
 def unseen_view(views: Views) -> Views:
-    """The view half way between two photos that is farthest from every camera.
-
-    Returns:
-        One view, its camera, light and intensity the means of two.
-    """
+    """The view half way between two photos that is farthest from every camera: the means of theirs."""
     pairs = torch.combinations(torch.arange(len(views)), with_replacement=True)
     camera, light, intensity = (x[pairs].mean(dim=1) for x in (views.camera, views.light, views.intensity))
     farthest = int(torch.cdist(camera, views.camera).amin(dim=1).argmax())

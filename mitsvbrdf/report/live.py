@@ -25,11 +25,8 @@ ENDED = {"settled": "settled: going on would change little", "budget": "out of s
 
 
 class LivePage:
-    """Writes the page at each state of a fit that it is called with.
-
-    Args:
-        folder: where the result is being made; the page lies in it as ``live.html``.
-        out: where the result will appear.
+    """Writes the page ``live.html`` into ``folder``, where a result is being made, at each state of a fit
+    that it is called with; the result will appear in ``out``.
     """
 
     def __init__(self, folder: Path, out: Path) -> None:

@@ -105,14 +105,7 @@ class Shot:
 
 
 def shots(phone: HandheldPhone, spoil: Sequence[Spoil] = ()) -> list[Shot]:
-    """The photos to take: good ones first, then one for each way to spoil one; file names tell nothing.
-
-    Args:
-        spoil: kinds, each at most once.
-
-    Raises:
-        ConfigError: an unknown kind, or one given twice.
-    """
+    """The photos to take: good ones first, then one for each way to spoil one; file names tell nothing."""
     unknown = [kind for kind in spoil if kind not in get_args(Spoil)]
     if unknown or len(set(spoil)) < len(spoil):
         raise ConfigError(f"kinds of {get_args(Spoil)}, each once", ", ".join(unknown or spoil),

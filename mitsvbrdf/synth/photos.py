@@ -156,17 +156,12 @@ def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...,
                    spoil: Sequence[Spoil] = (),
                    report: Callable[[int, int], object] = lambda done, count: None,
                    **about: object) -> dict[str, Any]:
-    """Write photos of :func:`handheld_photos`, ``truth/truth.json`` and the maps ``truth/sample``.
+    """Write photos of :func:`handheld_photos`, ``truth/truth.json`` and the maps ``truth/sample``; gives the
+    truth.
 
     With a sheet also ``truth/maps``, of just the patch within it, as a fit finds them. Without one the photos
-    alone say where the patch is.
-
-    Args:
-        report: is told (done, of how many) after each photo.
-        about: more fields for truth.json.
-
-    Returns:
-        The truth.
+    alone say where the patch is. ``report`` is told (done, of how many) after each photo; ``about`` are more
+    fields for truth.json.
     """
     photos, truth = handheld_photos(svbrdf, phone, renderer, spoil)
     for done, (shot, pixels) in enumerate(photos, 1):
@@ -181,13 +176,7 @@ def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...,
 
 
 def patch_of(sample: SVBRDF, share: float, resolution: int) -> SVBRDF:
-    """The maps of the square patch in the middle of a sample, averaged over each texel.
-
-    Args:
-        sample: the maps of all of it.
-        share: of the sample's side, the patch's.
-        resolution: texels along the patch's side.
-    """
+    """The maps of the middle square of a sample, of this share of its side, averaged over each texel."""
     times = max(1, math.ceil(2 * share * sample.resolution / resolution))
     at = texel_positions(resolution * times)[..., :2] * share * torch.tensor([2.0, -2.0])
 

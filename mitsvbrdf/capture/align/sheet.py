@@ -83,8 +83,7 @@ class Sheet:
     def picture(self, pixels_per_cm: float) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """The sheet, ``outer`` wide, from above, row 0 at the top; each pixel is the average of its area.
 
-        Returns:
-            N x N, paper 255 and black 0; and N x N, the pixels whose centre is in the hole.
+        N x N, paper 255 and black 0; and N x N, the pixels whose centre is in the hole.
         """
         count = max(1, round(self.outer * pixels_per_cm))
         edges = np.linspace(0, OUTER, count + 1)

@@ -29,16 +29,12 @@ ALBEDO_STEPS = 6  # of Gauss-Newton, where there is a lobe
 
 
 class Problem:
-    """The residuals of a rig's samples.
+    """The residuals of a rig's samples, K points of M photos.
 
     The unknowns, by ``layout``, are what is added to what is expected: ``flash``, its place in camera axes
     (the rig's unit); ``vignetting``, v1 and v2; ``exposures``, natural logarithms, one a photo; ``log_alpha``
     and ``log_f0`` of the lobe. :meth:`residuals` and :meth:`jacobian` take them over their prior's
     deviations, ``spread``.
-
-    Args:
-        rig: lens and poses, with M photos.
-        samples: K points of these photos.
     """
 
     def __init__(self, rig: Rig, samples: Samples) -> None:
@@ -95,9 +91,8 @@ class Problem:
     def explain(self, unknowns: Array, weights: Array) -> tuple[Array, Array, Array]:
         """What suits the points best (Gauss-Newton) for these unknowns.
 
-        Returns:
-            Logarithms of albedo / pi of each texel for an intensity of 1, and of what the lobe multiplies
-            each point by; the error that is left.
+        Logarithms of albedo / pi of each texel for an intensity of 1, and of what the lobe multiplies each
+        point by; and the error that is left.
         """
         texel, lobe = self.samples.texel, self.lobe(unknowns)
         apparent = self.samples.log - self.model(unknowns)
