@@ -165,15 +165,17 @@ def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
     for folder, material in wanted.items():
         before = known.get(folder)
         if folder in names:
-            known_one = before and before.state == "done" and before.identity == material.identity
-            wrong = library.results.damage(before, hashes=False) if known_one else "its record is missing"
-            if before and not wrong:
+            there = before
+            if before and (before.state != "done" or before.identity != material.identity):
+                there = None
+            wrong = results.damage(there, hashes=False) if there else "its record is missing"
+            if there and not wrong:
                 stock.done += 1
-                # the result says what is said of its capture now, and is the newest of it
-                if (before.source, before.tags) != (material.source, material.tags) or folder not in shown:
-                    before = before.but(source=material.source, tags=material.tags, date=now())
-                    library.results.restate(before)
-                library.done(before)
+                # it says what is said of its capture now, and is the newest of it
+                if (there.source, there.tags) != (material.source, material.tags) or folder not in shown:
+                    there = there.but(source=material.source, tags=material.tags, date=now())
+                    results.restate(there)
+                library.done(there)
                 continue
             stock.notes.append(f"done anew: {folder} ({wrong}; it is kept as {folder}.damaged.*)")
             results.set_aside(folder)

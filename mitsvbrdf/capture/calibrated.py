@@ -24,8 +24,7 @@ from ..io.decode import header, picture, upright
 from ..io.images import averaged, unmasked
 from ..io.json import load, read_json
 from ..views import Falloff, Views, default_views
-from .capture import LEAST_SIDE, Calibration, Capture
-from .colours import Converted, converted, notes_of
+from .capture import LEAST_SIDE, Calibration, Capture, Converted, converted, notes_of
 from .photo import HEIC, PLAIN, files_of
 from .rectify import filled
 

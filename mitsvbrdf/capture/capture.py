@@ -1,7 +1,8 @@
-"""The capture value type: rectified photos of one patch with their views."""
+"""The capture value type: rectified photos of one patch with their views, and what they state of colours."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -10,11 +11,59 @@ from typing import Literal, get_args
 from torch import Tensor
 
 from .. import color
-from ..errors import CaptureError, ConfigError
+from ..color import Transfer
+from ..errors import CaptureError, ConfigError, InputWarning
+from ..io.colour_profile import Profile
 from ..kinds import check_fields, kinds_checked
 from ..material.resample import area_averaged, sampled
 from ..views import Views, whole_numbers
-from .colours import Converted
+
+
+@dataclass(frozen=True)
+class Converted:
+    """Photos of one profile, converted to sRGB: how many, and the share of pixels that lay outside of it."""
+
+    photos: int
+    outside: float
+
+
+def converted(stated: Mapping[str, Profile | None], outside: Mapping[str, float]) -> dict[str, Converted]:
+    """What was converted, by the profile's name.
+
+    Args:
+        stated: profiles by name of the photo; None: sRGB.
+        outside: shares of pixels outside of sRGB, by name of the photos that are used.
+
+    Warns:
+        InputWarning: a profile that cannot be used.
+    """
+    names: dict[Profile, list[str]] = {}
+    for name in outside:
+        if profile := stated.get(name):
+            names.setdefault(profile, []).append(name)
+    for profile, those in names.items():
+        if profile.reason:
+            more = f" and {len(those) - 1} more photos" if those[1:] else ""
+            warnings.warn(f"{those[0]}{more}: {profile.name} cannot be used ({profile.reason}); the values "
+                          "are taken as sRGB; export the photos as sRGB", InputWarning, stacklevel=2)
+    return {profile.name: Converted(len(those), sum(outside[name] for name in those) / len(those))
+            for profile, those in names.items() if not profile.reason}
+
+
+def notes_of(colours: Mapping[str, Converted]) -> list[str]:
+    """A line for each profile."""
+    return [f"{found.photos} photo{'s' * (found.photos > 1)} of colour profile {name}: converted to sRGB; "
+            f"{found.outside:.2%} of the pixels lie outside of sRGB and were moved to its edge"
+            for name, found in colours.items()]
+
+
+def used_transfer(transfer: Transfer, colours: Mapping[str, Converted]) -> tuple[Transfer, list[str]]:
+    """The transfer function to use: values that were converted are those of sRGB, not linear; and a note."""
+    if transfer != "linear" or not colours:
+        return transfer, []
+    return "srgb", [f"transfer srgb is used, not linear: the photos state the profile {', '.join(colours)}, "
+                    "by which they were converted; remove it to have their values as they are"]
+
 
 LEAST_SIDE = 8  # pixels
 
@@ -153,5 +202,3 @@ def _checked(photos: Tensor) -> Tensor:
         raise CaptureError("photos of display values >= 0, finite", f"values from {least:g} to {most:g}",
                            "check how they were read or developed")
     return photos.float()
-
-

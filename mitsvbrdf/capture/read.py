@@ -22,8 +22,7 @@ from ..io.images import averaged, unmasked, write_png
 from ..io.json import load
 from ..views import FIELD_OF_VIEW, Falloff, default_views
 from .calibrated import from_json, from_text, stated_in
-from .capture import LEAST_SIDE, Capture
-from .colours import converted, notes_of, used_transfer
+from .capture import LEAST_SIDE, Capture, converted, notes_of, used_transfer
 from .lens import field_of_view
 from .photo import Photo, Unreadable, differences, photos_in, with_one_balance
 from .rectify import filled

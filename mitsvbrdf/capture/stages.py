@@ -30,8 +30,7 @@ from ..views import coverage_angle
 from .align.from_photos import rig_from_photos
 from .align.from_sheet import rig_from_sheet
 from .align.sheet import Sheet
-from .capture import LEAST_SIDE, Capture
-from .colours import converted, notes_of, used_transfer
+from .capture import LEAST_SIDE, Capture, converted, notes_of, used_transfer
 from .light.lit import Lit
 from .light.solve import Shading
 from .photo import Photo, of_one_camera

@@ -17,7 +17,7 @@ from ..views import photo_numbers
 from . import options
 
 if TYPE_CHECKING:
-    from ..evaluate.compare import Entry
+    from ..evaluate.photos import Entry
 
 LARGEST_SIDE = 256  # pixels a side, where nothing else is asked for
 
@@ -43,7 +43,7 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
     others as `mitsvbrdf evaluate` does.
     """
     from ..calibrate.refine import Priors
-    from ..evaluate.compare import compare as measure
+    from ..evaluate.photos import compare as measure
     from ..report.compare_page import write_compare_page
 
     if not maps:
@@ -82,7 +82,7 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
 
 def _entry(text: str, resolution: int, encoding: options.MapEncoding, normal: options.MapNormal) -> Entry:
     """Maps, name and fit of ``[NAME=]MAPS``; the folder is the name of maps without one."""
-    from ..evaluate.compare import Entry
+    from ..evaluate.photos import Entry
 
     maps = _folder(text)
     name = text[:len(text) - len(maps)].removesuffix("=") or options.name_of(maps)

@@ -62,8 +62,7 @@ def relight(
     """
     from ..fit.checkpoint import digest
     from ..fit.config import check_seed
-    from ..relight.frames import begin, go_on, kept_names, render_stages
-    from ..relight.movie import av_module
+    from ..relight.frames import av_module, begin, go_on, kept_names, render_stages
     from ..relight.passes import Stop
     from ..relight.stage import PRESETS, make_stage
     from ..render.exclusive import using_mitsuba
@@ -117,8 +116,7 @@ def relight(
 def _finish(stage: Stage, record: Record, folder: Path, kinds: list[str], exposure: float,
             stop: Stop) -> None:
     """Curve and a line for a preset, and its movie where all frames are there."""
-    from ..relight.frames import display_frames
-    from ..relight.movie import write_gif, write_mp4
+    from ..relight.frames import display_frames, write_gif, write_mp4
     from ..report.charts import error_curve
 
     frames = record.presets[stage.name]["frames"]

@@ -8,7 +8,7 @@ from pathlib import Path
 from torch import Tensor
 
 from ..capture import Capture
-from ..evaluate.compare import Entry
+from ..evaluate.photos import Entry
 from ..material.maps import SVBRDF, TITLES, shown_map
 from .page import write_page
 from .pictures import at_most, png_uri
@@ -22,7 +22,7 @@ def write_compare_page(path: str | Path, record: dict, entries: Sequence[Entry],
     """Write one HTML file: the photos, the maps of each method, errors, and re-renderings beside photos.
 
     Args:
-        record: of :func:`mitsvbrdf.evaluate.compare.compare`.
+        record: of :func:`mitsvbrdf.evaluate.photos.compare`.
         capture: the N photos.
         pictures: for each method N x R x R x 3, display values, as the same call gave them.
         guess: guessed diffuse map of the photos, R x R x 3, linear.

@@ -1,7 +1,11 @@
-"""The page of a fit: made from what lies in its folder, so that it can be made again at any time."""
+"""The page of a fit: made from what lies in its folder, so that it can be made again at any time.
+
+Beside it the page of its plausible detail, which is for pictures only.
+"""
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -22,9 +26,10 @@ from ..io.json import NUMBER, load, shape_error
 from ..material.maps import CHANNELS, TITLES, shown_map
 from ..measure.metrics import photo_rmse
 from ..render import Renderer
+from ..render.analytic import AnalyticRenderer
+from ..views import Views
 from .checks import fit_report
 from .curves import error_and_losses
-from .detail_page import write_detail_page
 from .header import header, material_name
 from .page import write_page
 from .pictures import at_most, magma, picture_uri
@@ -219,3 +224,38 @@ def _scalar(value: object) -> str:
     if isinstance(value, (list, tuple)):
         return ", ".join(map(_scalar, value)) or "–"
     return "–" if value is None else str(value)
+
+
+DETAIL_PAGE = "detail.html"
+
+
+def write_detail_page(found: Fit, into: Path) -> str | None:
+    """Write ``detail.html`` of a fit: maps, a new light and the live viewer, all of its plausible detail.
+
+    Returns:
+        The page's name; None where the fit has none.
+    """
+    if found.detail is None:
+        return None
+    assert found.transfer is not None  # a fit's record has it
+    view, settings = unseen_view(found.views), found.record["detail"]
+    engine, transfer = found.engine() or AnalyticRenderer(), found.transfer
+    with torch.no_grad():
+        relit = [(title, picture_uri(at_most(color.to_display(engine.render(svbrdf, view)[0], transfer),
+                                             LARGEST_MAP)))
+                 for title, svbrdf in (("maps/", found.svbrdf), ("detail/", found.detail))]
+    maps = [(TITLES[name], picture_uri(at_most(shown_map(name, found.detail[name]), LARGEST_MAP)))
+            for name in CHANNELS[found.detail.bsdf]]
+    write_page(into / DETAIL_PAGE, "report/detail.html", title=f"{material_name(found)}: plausible detail",
+               detail=settings, maps=maps, relit=relit, solved_rmse=found.rerender_rmse,
+               viewer=viewer_html(found.detail))
+    return DETAIL_PAGE
+
+
+def unseen_view(views: Views) -> Views:
+    """The view half way between two photos that is farthest from every camera: the means of theirs."""
+    pairs = torch.combinations(torch.arange(len(views)), with_replacement=True)
+    camera, light, intensity = (x[pairs].mean(dim=1) for x in (views.camera, views.light, views.intensity))
+    farthest = int(torch.cdist(camera, views.camera).amin(dim=1).argmax())
+    between = dataclasses.replace(views, camera=camera, light=light, intensity=intensity)
+    return between.pick([farthest])

@@ -7,7 +7,7 @@ import torch
 from PIL import Image
 
 from mitsvbrdf.errors import OutputError
-from mitsvbrdf.relight.movie import write_gif, write_mp4
+from mitsvbrdf.relight.frames import write_gif, write_mp4
 
 
 @pytest.fixture(scope="module")
