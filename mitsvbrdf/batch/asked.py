@@ -36,25 +36,15 @@ BUDGETS = 3.0  # a fit looks at the clock between steps, and the last of them ma
 
 @dataclass(frozen=True)
 class Asked:
-    """A capture, and how it is fitted.
+    """A capture, and how it is fitted."""
 
-    Args:
-        entry: the capture.
-        config: method and settings.
-        options: the others.
-        pages: whether its page and pictures are written.
-        tags: words to find it by.
-        sheet: size in cm of the printed sheet in raw photos; None where there is none.
-        strict: whether damaged photos are refused.
-    """
-
-    entry: Entry
-    config: FitConfig
-    options: FitOptions
-    pages: bool
-    tags: tuple[str, ...]
-    sheet: float | None = None
-    strict: bool = False
+    entry: Entry  # the capture
+    config: FitConfig  # method and settings
+    options: FitOptions  # the others
+    pages: bool  # whether its page and pictures are written
+    tags: tuple[str, ...]  # words to find it by
+    sheet: float | None = None  # size in cm of the printed sheet in raw photos; None where there is none
+    strict: bool = False  # whether damaged photos are refused
 
     @property
     def record(self) -> dict:
@@ -128,21 +118,13 @@ def capture_files(source: Path) -> list[Path]:
 
 @dataclass
 class Stock:
-    """What a library has of what is asked for.
+    """What a library has of what is asked for."""
 
-    Args:
-        work: what is left to do.
-        done: how many results were found whole.
-        failed: how many failed before and are not tried again.
-        unreadable: how many have photos, or a name, that cannot be read.
-        notes: lines about what is omitted, or done anew.
-    """
-
-    work: list[Material] = field(default_factory=list)
-    done: int = 0
-    failed: int = 0
-    unreadable: int = 0
-    notes: list[str] = field(default_factory=list)
+    work: list[Material] = field(default_factory=list)  # what is left to do
+    done: int = 0  # how many results were found whole
+    failed: int = 0  # how many failed before and are not tried again
+    unreadable: int = 0  # how many have photos, or a name, that cannot be read
+    notes: list[str] = field(default_factory=list)  # lines about what is omitted, or done anew
 
 
 def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,

@@ -25,17 +25,11 @@ SIDE = 1024  # pixels a side of the photos that are rectified here
 
 
 class Entry(NamedTuple):
-    """A capture to fit.
+    """A capture to fit."""
 
-    Args:
-        source: its absolute path, or its URL.
-        own: options that its line in a list gives, in words.
-        where: the list and its line, for errors; empty for what the command line names.
-    """
-
-    source: str
-    own: tuple[str, ...] = ()
-    where: str = ""
+    source: str  # its absolute path, or its URL
+    own: tuple[str, ...] = ()  # options that its line in a list gives, in words
+    where: str = ""  # the list and its line, for errors; empty for what the command line names
 
 
 @contextlib.contextmanager

@@ -28,45 +28,25 @@ class Row(msgspec.Struct, frozen=True):
 
 
 class Material(msgspec.Struct, frozen=True, kw_only=True):
-    """A capture, what is asked for, and what came of it.
+    """A capture, what is asked for, and what came of it."""
 
-    Args:
-        identity: SHA-256 of photos and options, in hex.
-        name: of the capture.
-        state: pending, failed or done; the place of a record says it.
-        source: its path or URL.
-        asked: method, settings and options.
-        words: the options that are not the defaults.
-        tags: words to find it by.
-        date: when it was asked for, or its fit ended; UTC.
-        attempts: how often a fit began.
-        base: the folder where paths in its options start.
-        cost: seconds that its fit takes, at a guess.
-        limit: seconds after which its fit counts as hanging; None is no limit.
-        reason: why it failed.
-        log: whether the output of a fit that failed is kept.
-        host: where it was fitted.
-        row: what the list tells.
-        files: of a result.
-    """
-
-    identity: str
-    name: str
-    state: str = "pending"
-    source: str = ""
-    asked: dict[str, Any] = {}
-    words: str = ""
-    tags: list[str] = []
-    date: str = ""
-    attempts: int = 0
-    base: str = ""
-    cost: float = 0.0
-    limit: float | None = None
-    reason: str = ""
-    log: bool = False
-    host: str = ""
-    row: Row = Row()
-    files: dict[str, File] = {}
+    identity: str  # SHA-256 of photos and options, in hex
+    name: str  # of the capture
+    state: str = "pending"  # pending, failed or done; the place of a record says it
+    source: str = ""  # its path or URL
+    asked: dict[str, Any] = {}  # method, settings and options
+    words: str = ""  # the options that are not the defaults
+    tags: list[str] = []  # words to find it by
+    date: str = ""  # when it was asked for, or its fit ended; UTC
+    attempts: int = 0  # how often a fit began
+    base: str = ""  # the folder where paths in its options start
+    cost: float = 0.0  # seconds that its fit takes, at a guess
+    limit: float | None = None  # seconds after which its fit counts as hanging; None is no limit
+    reason: str = ""  # why it failed
+    log: bool = False  # whether the output of a fit that failed is kept
+    host: str = ""  # where it was fitted
+    row: Row = Row()  # what the list tells
+    files: dict[str, File] = {}  # of a result
 
     @property
     def folder(self) -> str:

@@ -31,22 +31,14 @@ Predict = Callable[[Capture], float]
 
 @dataclass(frozen=True)
 class KnownMaterial:
-    """Simulated photos of known maps.
-
-    Args:
-        name: of the material.
-        truth: its maps.
-        folder: where they were read; None for a made material.
-        photos: what is fitted.
-        seen_from: the capture whose views the photos have, by name.
-    """
+    """Simulated photos of known maps."""
 
     kind: ClassVar = "material"
-    name: str
-    truth: SVBRDF
-    folder: Path | None
-    photos: Capture
-    seen_from: str = "builtin:grid"
+    name: str  # of the material
+    truth: SVBRDF  # its maps
+    folder: Path | None  # where they were read; None for a made material
+    photos: Capture  # what is fitted
+    seen_from: str = "builtin:grid"  # the capture whose views the photos have, by name
 
     @property
     def key(self) -> dict:
@@ -68,20 +60,13 @@ class KnownMaterial:
 
 @dataclass(frozen=True)
 class RealCapture:
-    """Real photos, some of them held out.
-
-    Args:
-        name: of the capture.
-        photos: what is fitted.
-        unseen: the photos held out; None where there are none, or no views to predict them from.
-        held_out: the numbers of the photos that were to be held out.
-    """
+    """Real photos, some of them held out."""
 
     kind: ClassVar = "capture"
-    name: str
-    photos: Capture
-    unseen: Capture | None
-    held_out: tuple[int, ...] = HELD_OUT
+    name: str  # of the capture
+    photos: Capture  # what is fitted
+    unseen: Capture | None  # the photos held out; None where there are none, or no views to predict them from
+    held_out: tuple[int, ...] = HELD_OUT  # the numbers of the photos that were to be held out
 
     @property
     def key(self) -> dict:

@@ -65,19 +65,12 @@ ESTIMATED = Layout(camera=(3,), log_exposure=())  # what they say of it; lengths
 
 @dataclass(frozen=True)
 class EstimatedViews:
-    """Views estimated from photos, and how sure they are; the same lateral place for camera and flash.
+    """Views estimated from photos, and how sure they are; the same lateral place for camera and flash."""
 
-    Args:
-        views: the N views, in the unit of the capture's.
-        deviation: standard deviations N x 4, by :data:`ESTIMATED`.
-        power_deviation: of the logarithm of the light power of all photos.
-        beam: how much faster than a point's the light falls off, as an exponent of the cosine; the views
-            leave it out.
-    """
-
-    views: Views
-    deviation: Tensor
-    power_deviation: float
+    views: Views  # the N views, in the unit of the capture's
+    deviation: Tensor  # standard deviations N x 4, by ESTIMATED
+    power_deviation: float  # of the logarithm of the light power of all photos
+    # how much faster than a point's the light falls off, as an exponent of the cosine; the views leave it out
     beam: float
 
 

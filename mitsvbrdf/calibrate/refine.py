@@ -97,28 +97,17 @@ PRIORS: dict[Calibration, Priors] = {
 
 @dataclass(frozen=True)
 class RefinedViews:
-    """Refined views, what changed, and how sure that is.
+    """Refined views, what changed, and how sure that is."""
 
-    Args:
-        views: the refined views, in the unit of those given.
-        change: N x 7, by :data:`UNKNOWNS`: patch sides, and the logarithm of the exposure.
-        covariance: of each photo's change, N x 7 x 7.
-        common_flash: (x, y) of the part of the flash's change that all photos share.
-        common_covariance: its covariance, 2 x 2.
-        before: RMSE of each photo with the views given, in display values clipped to [0, 1], at 128 px at
-            most.
-        after: the same with the refined views.
-        iterations: steps tried.
-    """
-
-    views: Views
-    change: Tensor
-    covariance: Tensor
-    common_flash: Tensor
-    common_covariance: Tensor
+    views: Views  # the refined views, in the unit of those given
+    change: Tensor  # N x 7, by UNKNOWNS: patch sides, and the logarithm of the exposure
+    covariance: Tensor  # of each photo's change, N x 7 x 7
+    common_flash: Tensor  # (x, y) of the part of the flash's change that all photos share
+    common_covariance: Tensor  # its covariance, 2 x 2
+    # RMSE of each photo with the views given, in display values clipped to [0, 1], at 128 px at most
     before: list[float]
-    after: list[float]
-    iterations: int
+    after: list[float]  # the same with the refined views
+    iterations: int  # steps tried
 
     @property
     def deviation(self) -> Tensor:

@@ -22,23 +22,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Lens:
-    """What all photos of a phone share.
+    """What all photos of a phone share."""
 
-    Args:
-        size: width and height of the photos in pixels.
-        focal: focal length in pixels.
-        centre: principal point in pixels; None: the middle of the photo.
-        distortion: k1, k2 of Brown and Conrady's radial model (OpenCV's first two), at 0 a pinhole.
-        vignetting: v1, v2: radiance arrives as 1 + v1 r^2 + v2 r^4, r = 1 at half the photo's diagonal from
-            the middle.
-        flash: where the flash is, in camera axes and the world's unit of length; (0, 0, 0) is in the lens.
-    """
-
-    size: tuple[int, int]
-    focal: float
-    centre: tuple[float, float] | None = None
+    size: tuple[int, int]  # width and height of the photos in pixels
+    focal: float  # focal length in pixels
+    centre: tuple[float, float] | None = None  # principal point in pixels; None: the middle of the photo
+    # k1, k2 of Brown and Conrady's radial model (OpenCV's first two), at 0 a pinhole
     distortion: tuple[float, float] = (0.0, 0.0)
+    # v1, v2: radiance arrives as 1 + v1 r^2 + v2 r^4, r = 1 at half the photo's diagonal from the middle
     vignetting: tuple[float, float] = (0.0, 0.0)
+    # where the flash is, in camera axes and the world's unit of length; (0, 0, 0) is in the lens
     flash: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
@@ -95,15 +88,10 @@ def unsure_note(share: float) -> str:
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a camera stood and how it was turned.
+    """Where a camera stood and how it was turned."""
 
-    Args:
-        position: of the lens in the world, 3.
-        rotation: 3 x 3, from world to camera axes.
-    """
-
-    position: Array
-    rotation: Array
+    position: Array  # of the lens in the world, 3
+    rotation: Array  # 3 x 3, from world to camera axes
 
     @classmethod
     def looking_at(cls, position: ArrayLike, target: ArrayLike, turn: float = 0.0) -> Pose:

@@ -41,26 +41,16 @@ class Unreadable(CaptureError):
 
 @dataclass(frozen=True)
 class Photo:
-    """A file; its pixels are read when they are asked for.
+    """A file; its pixels are read when they are asked for."""
 
-    Args:
-        path: PNG, JPEG, TIFF or WebP; HEIC with the extra ``heic``, RAW (dng, cr2, cr3, nef, arw, ...) with
-            the extra ``raw``.
-        size: width and height of the stored pixels, before any EXIF orientation.
-        orientation: EXIF's, 1 to 8; 1: shown as stored.
-        exif: see :func:`read_exif`.
-        linear: whether its values are proportional to radiance: those of RAW files are.
-        profile: of its colours; None: those of sRGB.
-        balance: factors of white balance that a RAW file is developed with.
-    """
-
+    # PNG, JPEG, TIFF or WebP; HEIC with the extra heic, RAW (dng, cr2, cr3, nef, arw, ...) with the extra raw
     path: Path
-    size: tuple[int, int]
-    orientation: int = 1
-    exif: dict[str, Any] = field(default_factory=dict)
-    linear: bool = False
-    profile: Profile | None = None
-    balance: tuple[float, ...] = ()
+    size: tuple[int, int]  # width and height of the stored pixels, before any EXIF orientation
+    orientation: int = 1  # EXIF's, 1 to 8; 1: shown as stored
+    exif: dict[str, Any] = field(default_factory=dict)  # see read_exif
+    linear: bool = False  # whether its values are proportional to radiance: those of RAW files are
+    profile: Profile | None = None  # of its colours; None: those of sRGB
+    balance: tuple[float, ...] = ()  # factors of white balance that a RAW file is developed with
 
     @property
     def name(self) -> str:

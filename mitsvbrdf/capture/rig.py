@@ -24,31 +24,22 @@ class OnePlace(CaptureError):
 
 @dataclass(frozen=True)
 class Rig:
-    """A lens and where it stood in each photo. The patch is the square around the world's origin.
+    """A lens and where it stood in each photo. The patch is the square around the world's origin."""
 
-    Args:
-        lens: what all photos share.
-        poses: by name of the photo, of the photos that are used.
-        size: side of the patch, in ``unit``.
-        unit: of all lengths: ``cm`` where a sheet of known size was seen, else ``patch sides`` (``size`` is
-            1).
-        source: of the poses; ``none``: photos rectified to their sheet, of which only the patch is known.
-        errors: RMS reprojection error in pixels of the photo, by name.
-        rejected: reason, by name of each photo that is not used.
-        deviations: standard deviation of a camera's position in ``unit``, by name, where it is known.
-        notes: what the user should know about it.
-        tags: of the sheet's 16, how many each photo shows, by name; not in the JSON.
-    """
-
-    lens: Lens
-    poses: dict[str, Pose]
-    size: float
+    lens: Lens  # what all photos share
+    poses: dict[str, Pose]  # by name of the photo, of the photos that are used
+    size: float  # side of the patch, in unit
+    # of all lengths: cm where a sheet of known size was seen, else patch sides (size is 1)
     unit: Literal["cm", "patch sides"]
+    # of the poses; none: photos rectified to their sheet, of which only the patch is known
     source: Literal["sheet", "photos", "none"]
+    # RMS reprojection error in pixels of the photo, by name
     errors: dict[str, float] = field(default_factory=dict)
-    rejected: dict[str, str] = field(default_factory=dict)
+    rejected: dict[str, str] = field(default_factory=dict)  # reason, by name of each photo that is not used
+    # standard deviation of a camera's position in unit, by name, where it is known
     deviations: dict[str, float] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what the user should know about it
+    # of the sheet's 16, how many each photo shows, by name; not in the JSON
     tags: dict[str, int] = field(default_factory=dict)
 
 

@@ -49,29 +49,18 @@ COVERAGE_SIDE = 64
 
 @dataclass(frozen=True)
 class CaptureResult:
-    """A capture, and what is known about how good it is.
+    """A capture, and what is known about how good it is."""
 
-    Args:
-        capture: the photos that are used, rectified, in their order.
-        photos: all that were given.
-        rig: lens and poses of those used; ``rejected`` has the reason of each other photo.
-        shading: flash, vignetting and exposures; None: they are unknown, and the flash is taken to be at the
-            lens.
-        qualities: how good each photo is that has a pose, by name.
-        coverage: smallest angle (rad) between half vector and upright that a photo shows, 64 x 64, row 0 at
-            the top.
-        next_view: where one more photo would show most; None: nowhere much.
-        warnings: what a user should know.
-    """
-
-    capture: Capture
-    photos: tuple[Photo, ...]
-    rig: Rig
+    capture: Capture  # the photos that are used, rectified, in their order
+    photos: tuple[Photo, ...]  # all that were given
+    rig: Rig  # lens and poses of those used; rejected has the reason of each other photo
+    # flash, vignetting and exposures; None: they are unknown, and the flash is taken to be at the lens
     shading: Shading | None
-    qualities: dict[str, PhotoQuality]
+    qualities: dict[str, PhotoQuality]  # how good each photo is that has a pose, by name
+    # smallest angle (rad) between half vector and upright that a photo shows, 64 x 64, row 0 at the top
     coverage: torch.Tensor
-    next_view: NextView | None
-    warnings: tuple[str, ...]
+    next_view: NextView | None  # where one more photo would show most; None: nowhere much
+    warnings: tuple[str, ...]  # what a user should know
 
     @property
     def used(self) -> list[str]:

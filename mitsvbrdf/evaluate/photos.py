@@ -108,19 +108,12 @@ MapErrors = Callable[[SVBRDF], Mapping[str, float]]
 
 @dataclass(frozen=True)
 class Entry:
-    """What one method found.
+    """What one method found."""
 
-    Args:
-        name: the method, as captions call it.
-        folder: where its maps were read from.
-        svbrdf: its maps, of any resolution.
-        fit: how it saw its photos; the defaults for maps without a ``fit.json``.
-    """
-
-    name: str
-    folder: str
-    svbrdf: SVBRDF
-    fit: Fit = field(default_factory=Fit)
+    name: str  # the method, as captions call it
+    folder: str  # where its maps were read from
+    svbrdf: SVBRDF  # its maps, of any resolution
+    fit: Fit = field(default_factory=Fit)  # how it saw its photos; the defaults for maps without a fit.json
 
 
 def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_errors: MapErrors

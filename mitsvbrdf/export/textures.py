@@ -57,21 +57,13 @@ DEFAULTS = ExportSettings()
 
 @dataclass(frozen=True)
 class Texture:
-    """What ``export.json`` says of a texture file.
+    """What ``export.json`` says of a texture file."""
 
-    Args:
-        file: its path, relative to ``export.json``; for one inside another file both names.
-        holds: which map; for packed ones which map in which channel.
-        colour_space: ``sRGB`` (transfer function of IEC 61966-2-1) or ``linear``.
-        bits: per channel; 32: float.
-        normal: the convention of a normal map, else None.
-    """
-
-    file: str
-    holds: str
-    colour_space: str
-    bits: int
-    normal: str | None = None
+    file: str  # its path, relative to export.json; for one inside another file both names
+    holds: str  # which map; for packed ones which map in which channel
+    colour_space: str  # sRGB (transfer function of IEC 61966-2-1) or linear
+    bits: int  # per channel; 32: float
+    normal: str | None = None  # the convention of a normal map, else None
 
 
 def stored(name: str, value: Tensor, normal: NormalConvention = "gl") -> Tensor:
@@ -112,19 +104,12 @@ def rendered(template: str, **about: object) -> bytes:
 
 @dataclass(frozen=True)
 class Export:
-    """What was written in one format.
+    """What was written in one format."""
 
-    Args:
-        files: the files to open, relative to the folder.
-        textures: all textures.
-        notes: what the format cannot say, and what it says in another way.
-        conversion: what is lost on the way, by kind of conversion; see
-            :func:`mitsvbrdf.export.residual.residual`.
-    """
-
-    files: tuple[str, ...]
-    textures: tuple[Texture, ...]
-    notes: tuple[str, ...] = ()
+    files: tuple[str, ...]  # the files to open, relative to the folder
+    textures: tuple[Texture, ...]  # all textures
+    notes: tuple[str, ...] = ()  # what the format cannot say, and what it says in another way
+    # what is lost on the way, by kind of conversion; see mitsvbrdf.export.residual.residual
     conversion: dict[str, dict[str, float]] | None = None
 
     def write(self, folder: Path, **about: object) -> None:

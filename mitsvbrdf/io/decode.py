@@ -43,17 +43,11 @@ class Header(NamedTuple):
 
 
 class Picture(NamedTuple):
-    """Pixels of a file as stored.
+    """Pixels of a file as stored."""
 
-    Args:
-        pixels: H x W x 3, RGB, 8 or 16 bits, in the colours of sRGB.
-        opaque: H x W, False where its alpha masks a pixel; None: nowhere.
-        outside: share of pixels whose colours lay outside of sRGB.
-    """
-
-    pixels: np.ndarray
-    opaque: np.ndarray | None = None
-    outside: float = 0.0
+    pixels: np.ndarray  # H x W x 3, RGB, 8 or 16 bits, in the colours of sRGB
+    opaque: np.ndarray | None = None  # H x W, False where its alpha masks a pixel; None: nowhere
+    outside: float = 0.0  # share of pixels whose colours lay outside of sRGB
 
 
 def kind_of(path: Path) -> str:

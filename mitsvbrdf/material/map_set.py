@@ -30,29 +30,17 @@ STRIP = "diffuse", "normal", "roughness", "specular"  # side by side, in Materia
 
 
 class MapSet(NamedTuple):
-    """The files of a material before they are read.
+    """The files of a material before they are read."""
 
-    Args:
-        place: the folder or file they were found in.
-        sources: by map; ``f0`` is that of what is no metal.
-        stated: encodings by map, as the user or ``material.json`` states them.
-        habit: the encoding of all others, a key of ENCODINGS.
-        bsdf: what ``material.json`` says.
-        passed: names of what is not read.
-        taken: the share of light that the highlight takes from the diffuse; None: the F0.
-        remarks: what is said of a document.
-        way: how the user overrules an encoding, which stands in ``{}``.
-    """
-
-    place: Path
-    sources: Mapping[str, Source]
-    stated: Mapping[str, str]
-    habit: str = "srgb"
-    bsdf: Bsdf | None = None
-    passed: tuple[str, ...] = ()
-    taken: float | None = None
-    remarks: tuple[str, ...] = ()
-    way: str = OVERRULE
+    place: Path  # the folder or file they were found in
+    sources: Mapping[str, Source]  # by map; f0 is that of what is no metal
+    stated: Mapping[str, str]  # encodings by map, as the user or material.json states them
+    habit: str = "srgb"  # the encoding of all others, a key of ENCODINGS
+    bsdf: Bsdf | None = None  # what material.json says
+    passed: tuple[str, ...] = ()  # names of what is not read
+    taken: float | None = None  # the share of light that the highlight takes from the diffuse; None: the F0
+    remarks: tuple[str, ...] = ()  # what is said of a document
+    way: str = OVERRULE  # how the user overrules an encoding, which stands in {}
 
     def code(self, name: str) -> str:
         """The encoding of a map's 8- and 16-bit file, or the convention of normals."""

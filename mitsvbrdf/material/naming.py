@@ -34,23 +34,14 @@ GLTF_PACKED = "other", "roughness", "metallic"
 
 
 class Source(NamedTuple):
-    """Where a map comes from.
+    """Where a map comes from."""
 
-    Args:
-        path: an image file; None: ``factor`` is all.
-        channel: which of its channels, of a packed map.
-        inverted: whether it holds one minus the map, as gloss does.
-        convention: of normals, where the name states it: ``gl`` or ``dx``.
-        factor: on the linear map, one for all channels or one each.
-        part: which of the squares that lie side by side in the file.
-    """
-
-    path: Path | None
-    channel: int | None = None
-    inverted: bool = False
-    convention: str = ""
-    factor: tuple[float, ...] = (1.0,)
-    part: int | None = None
+    path: Path | None  # an image file; None: factor is all
+    channel: int | None = None  # which of its channels, of a packed map
+    inverted: bool = False  # whether it holds one minus the map, as gloss does
+    convention: str = ""  # of normals, where the name states it: gl or dx
+    factor: tuple[float, ...] = (1.0,)  # on the linear map, one for all channels or one each
+    part: int | None = None  # which of the squares that lie side by side in the file
 
 
 def kind_of(stem: str, dropped: int = 0) -> tuple[str, ...]:

@@ -21,19 +21,13 @@ from ..views import Views
 
 @dataclass(frozen=True)
 class Measured:
-    """One forward and one backward pass.
+    """One forward and one backward pass."""
 
-    Args:
-        image: linear radiance N x R x R x 3.
-        gradients: of the product of image and cotangent, by map name, each of the map's shape.
-        forward: seconds of the forward pass.
-        backward: seconds of the backward pass.
-    """
-
-    image: Tensor
+    image: Tensor  # linear radiance N x R x R x 3
+    # of the product of image and cotangent, by map name, each of the map's shape
     gradients: dict[str, Tensor]
-    forward: float
-    backward: float
+    forward: float  # seconds of the forward pass
+    backward: float  # seconds of the backward pass
 
 
 def fixed_cotangent(shape: torch.Size, seed: int = 1) -> Tensor:

@@ -33,15 +33,10 @@ LUMINANCE = torch.tensor([0.2126, 0.7152, 0.0722], dtype=torch.float64)
 
 @dataclass(frozen=True)
 class Environment:
-    """What lights a scene from around it.
+    """What lights a scene from around it."""
 
-    Args:
-        emitters: plugin dictionaries by name.
-        turned: angle in degrees (counter-clockwise, seen from above) -> values by key of
-            ``mi.traverse(scene)``.
-    """
-
-    emitters: dict[str, dict[str, Any]]
+    emitters: dict[str, dict[str, Any]]  # plugin dictionaries by name
+    # angle in degrees (counter-clockwise, seen from above) -> values by key of mi.traverse(scene)
     turned: Callable[[float], dict[str, Any]]
 
 

@@ -28,15 +28,10 @@ INTERRUPTED = "interrupted"
 
 @dataclass
 class Record:
-    """What ``relight.json`` says.
+    """What ``relight.json`` says."""
 
-    Args:
-        settings: all that the pictures depend on, as JSON has it; a run that goes on has the same.
-        presets: by preset ``omitted`` and ``frames``: one dict each with ``frame``, ``file``, ``samples``,
-            ``seconds``, ``error``, ``stopped`` and ``curve``.
-    """
-
-    settings: dict
+    settings: dict  # all that the pictures depend on, as JSON has it; a run that goes on has the same
+    # by preset omitted and frames: one dict each with frame, file, samples, seconds, error, stopped and curve
     presets: dict[str, dict]
 
     def of(self, preset: str) -> dict[int, dict]:

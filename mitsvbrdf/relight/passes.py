@@ -33,17 +33,11 @@ TARGET_ERROR = 0.01
 
 @dataclass(frozen=True)
 class Stop:
-    """When a frame is done; one of the three, and with none given at an error of 0.01.
+    """When a frame is done; one of the three, and with none given at an error of 0.01."""
 
-    Args:
-        target_error: estimated RMSE in display values, in (0, 1).
-        budget: seconds.
-        samples: a pixel.
-    """
-
-    target_error: float | None = None
-    budget: float | None = None
-    samples: int | None = None
+    target_error: float | None = None  # estimated RMSE in display values, in (0, 1)
+    budget: float | None = None  # seconds
+    samples: int | None = None  # a pixel
 
     def __post_init__(self) -> None:
         given = [name.replace("_", " ") for name in ("target_error", "budget", "samples")
@@ -63,23 +57,14 @@ class Stop:
 
 @dataclass(frozen=True)
 class Rendered:
-    """A frame.
+    """A frame."""
 
-    Args:
-        image: linear radiance H x W x 3, float32, row 0 at the top, not exposed.
-        samples: a pixel.
-        seconds: for all of it; the kernel is compiled in the first frame of a scene.
-        error: estimated RMSE in display values; None of a single sample.
-        curve: ``seconds``, ``samples`` and ``error`` each time the error was estimated.
-        stopped: ``target``, ``budget``, ``samples`` or ``interrupted``.
-    """
-
-    image: Tensor = field(repr=False)
-    samples: int
-    seconds: float
-    error: float | None
-    curve: tuple[dict, ...]
-    stopped: str
+    image: Tensor = field(repr=False)  # linear radiance H x W x 3, float32, row 0 at the top, not exposed
+    samples: int  # a pixel
+    seconds: float  # for all of it; the kernel is compiled in the first frame of a scene
+    error: float | None  # estimated RMSE in display values; None of a single sample
+    curve: tuple[dict, ...]  # seconds, samples and error each time the error was estimated
+    stopped: str  # target, budget, samples or interrupted
 
 
 def shown(image: Tensor, exposure: float = 0.0) -> Tensor:

@@ -36,23 +36,15 @@ MOST_TILES = 64  # along a side
 
 @dataclass(frozen=True)
 class Stage:
-    """A scene to be rendered, frame by frame.
+    """A scene to be rendered, frame by frame."""
 
-    Args:
-        name: the preset.
-        scene: for ``mi.load_dict``; one sensor (hdrfilm rgb float32, box filter) and the integrator ``path``.
-        frames: 1 for a still.
-        place: frame number -> values by key of ``mi.traverse(scene)``; none of them needs another kernel.
-        omitted: (what, why) of each thing that this preview does without.
-        views: of ``novel``: camera and light of each frame.
-    """
-
-    name: str
+    name: str  # the preset
+    # for mi.load_dict; one sensor (hdrfilm rgb float32, box filter) and the integrator path
     scene: dict[str, Any]
-    frames: int
-    place: Place
-    omitted: tuple[tuple[str, str], ...]
-    views: Views | None = None
+    frames: int  # 1 for a still
+    place: Place  # frame number -> values by key of mi.traverse(scene); none of them needs another kernel
+    omitted: tuple[tuple[str, str], ...]  # (what, why) of each thing that this preview does without
+    views: Views | None = None  # of novel: camera and light of each frame
 
     def move(self, held: Any, frame: int) -> None:
         """Bring the scene to a frame; ``held`` is ``mi.traverse`` of it."""

@@ -26,31 +26,19 @@ class Omitted(NamedTuple):
 
 @dataclass(frozen=True)
 class Needs:
-    """What to compute, by default everything; :func:`scene_needs` drops what changes no pixel or gradient.
+    """What to compute, by default everything; :func:`scene_needs` drops what changes no pixel or gradient."""
 
-    Args:
-        diffuse_lobe: of ``roughconductor`` materials.
-        specular_lobe: of ``roughconductor`` materials.
-        coloured_specular: three specular channels instead of one that serves all.
-        metallic: the metallic map of ``principled`` materials.
-        normal_map: shading frames that differ from the plane's.
-        fresnel_curve: reflectance that follows the angle, instead of F0.
-        shadow_rays: traced scene only, as the next two: whether light reaches the patch is asked, not known.
-        path_depth: light that arrives after a bounce.
-        environment: light from an environment.
-        omitted: what is not computed.
-    """
-
-    diffuse_lobe: bool = True
-    specular_lobe: bool = True
-    coloured_specular: bool = True
-    metallic: bool = True
-    normal_map: bool = True
-    fresnel_curve: bool = True
+    diffuse_lobe: bool = True  # of roughconductor materials
+    specular_lobe: bool = True  # of roughconductor materials
+    coloured_specular: bool = True  # three specular channels instead of one that serves all
+    metallic: bool = True  # the metallic map of principled materials
+    normal_map: bool = True  # shading frames that differ from the plane's
+    fresnel_curve: bool = True  # reflectance that follows the angle, instead of F0
+    # traced scene only, as the next two: whether light reaches the patch is asked, not known
     shadow_rays: bool = True
-    path_depth: bool = True
-    environment: bool = True
-    omitted: tuple[Omitted, ...] = field(default=(), compare=False)
+    path_depth: bool = True  # light that arrives after a bounce
+    environment: bool = True  # light from an environment
+    omitted: tuple[Omitted, ...] = field(default=(), compare=False)  # what is not computed
 
     @property
     def lobes(self) -> int:

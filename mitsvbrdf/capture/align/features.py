@@ -33,17 +33,11 @@ LEAST_INLIERS = 15  # any four matches agree with a homography; chance agreement
 
 @dataclass(frozen=True)
 class Features:
-    """Features of a photo, the strongest first.
+    """Features of a photo, the strongest first."""
 
-    Args:
-        points: K x 2, pixels of the photo.
-        descriptors: K x 128 float32 of length 1 (RootSIFT).
-        pixel: how many of the photo's pixels a pixel was at which they were searched.
-    """
-
-    points: Array
-    descriptors: NDArray[np.float32]
-    pixel: float
+    points: Array  # K x 2, pixels of the photo
+    descriptors: NDArray[np.float32]  # K x 128 float32 of length 1 (RootSIFT)
+    pixel: float  # how many of the photo's pixels a pixel was at which they were searched
 
     def __len__(self) -> int:
         return len(self.points)
@@ -161,19 +155,12 @@ SIGMA = 0.5  # of a match, in pixels at which features were searched
 
 @dataclass(frozen=True)
 class Pair:
-    """What two photos have in common.
+    """What two photos have in common."""
 
-    Args:
-        matches: features that are alike, right or wrong.
-        agree: which of them agree with ``warp``, K.
-        warp: homography from pixels of ``a`` to pixels of ``b``; None where there is none to be trusted.
-        wild: whether there is one that no camera could have made.
-    """
-
-    matches: Match
-    agree: NDArray[np.bool_]
-    warp: Array | None
-    wild: bool = False
+    matches: Match  # features that are alike, right or wrong
+    agree: NDArray[np.bool_]  # which of them agree with warp, K
+    warp: Array | None  # homography from pixels of a to pixels of b; None where there is none to be trusted
+    wild: bool = False  # whether there is one that no camera could have made
 
     @property
     def a(self) -> str:

@@ -35,21 +35,13 @@ POSE = Layout(rotation=(3,), position=(3,))
 
 @dataclass(frozen=True)
 class Match:
-    """The same points of the plane in two photos.
+    """The same points of the plane in two photos."""
 
-    Args:
-        a: name of a photo.
-        b: name of another.
-        at_a: K x 2, pixels of ``a``.
-        at_b: K x 2, pixels of ``b``.
-        sigma: deviation of an error, in pixels.
-    """
-
-    a: str
-    b: str
-    at_a: Array
-    at_b: Array
-    sigma: float
+    a: str  # name of a photo
+    b: str  # name of another
+    at_a: Array  # K x 2, pixels of a
+    at_b: Array  # K x 2, pixels of b
+    sigma: float  # deviation of an error, in pixels
 
     def pick(self, index: Any) -> Match:
         """Those with these indices."""

@@ -150,23 +150,14 @@ LEAST_POINTS = 3
 
 @dataclass(frozen=True)
 class Edges:
-    """Measured points of the outer edges of tags.
+    """Measured points of the outer edges of tags."""
 
-    Args:
-        plane: on the sheet, K x 2 in cm.
-        pixels: in the stored photo, K x 2.
-        across: unit vectors across the edges in the photo, K x 2; along them alone a point is known.
-        corners: of each tag in the photo (4 x 2) by id, in the order of :attr:`Sheet.corners`.
-        trimmed: whether no white around the tags told where they are.
-        fault: why there are hardly any, where that is known.
-    """
-
-    plane: Array
-    pixels: Array
-    across: Array
-    corners: dict[int, Array]
-    trimmed: bool = False
-    fault: str | None = None
+    plane: Array  # on the sheet, K x 2 in cm
+    pixels: Array  # in the stored photo, K x 2
+    across: Array  # unit vectors across the edges in the photo, K x 2; along them alone a point is known
+    corners: dict[int, Array]  # of each tag in the photo (4 x 2) by id, in the order of Sheet.corners
+    trimmed: bool = False  # whether no white around the tags told where they are
+    fault: str | None = None  # why there are hardly any, where that is known
 
 
 def find_edges(photo: Photo, sheet: Sheet, patient: bool = True) -> Edges:
@@ -203,18 +194,12 @@ def find_edges(photo: Photo, sheet: Sheet, patient: bool = True) -> Edges:
 
 @dataclass(frozen=True)
 class _Search:
-    """A photo as it is searched for the tags of a sheet.
-
-    Args:
-        grey: H x W, 8 or 16 bits.
-        shown: the same in 8 bits.
-        linear: radiance by value of ``grey``.
-    """
+    """A photo as it is searched for the tags of a sheet."""
 
     sheet: Sheet
-    grey: NDArray
-    shown: NDArray[np.uint8]
-    linear: NDArray[np.float32]
+    grey: NDArray  # H x W, 8 or 16 bits
+    shown: NDArray[np.uint8]  # the same in 8 bits
+    linear: NDArray[np.float32]  # radiance by value of grey
 
     def measured(self, patient: bool) -> dict[int, Measured]:
         """What is measured by id of the tag.

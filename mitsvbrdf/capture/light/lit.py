@@ -27,25 +27,16 @@ Paper = Callable[[Array], np.ndarray]  # for points of the plane (K x 2, cm), wh
 
 @dataclass(frozen=True)
 class Lit:
-    """The photos of a rig, and their light.
+    """The photos of a rig, and their light."""
 
-    Args:
-        rig: with the flash and vignetting of its lens; poses in the order in which the photos were given.
-        shading: flash, vignetting and exposures; None where the photos do not tell them.
-        pictures: N x R x R x 3 display values without vignetting; what lies beyond a photo's edges is filled.
-        measured: N x R x R, False where it is; None: nowhere.
-        overlap: share of the patch that a photo shows, by name.
-        views: N.
-        notes: what a user should know.
-    """
-
-    rig: Rig
-    shading: Shading | None
+    rig: Rig  # with the flash and vignetting of its lens; poses in the order in which the photos were given
+    shading: Shading | None  # flash, vignetting and exposures; None where the photos do not tell them
+    # N x R x R x 3 display values without vignetting; what lies beyond a photo's edges is filled
     pictures: torch.Tensor
-    measured: torch.Tensor | None
-    overlap: dict[str, float]
-    views: Views
-    notes: tuple[str, ...]
+    measured: torch.Tensor | None  # N x R x R, False where it is; None: nowhere
+    overlap: dict[str, float]  # share of the patch that a photo shows, by name
+    views: Views  # N
+    notes: tuple[str, ...]  # what a user should know
 
     @classmethod
     def of(cls, rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Paper | None = None,

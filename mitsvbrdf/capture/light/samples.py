@@ -81,27 +81,18 @@ def material_samples(photo: np.ndarray, lens: Lens, pose: Pose, size: float,
 
 @dataclass(frozen=True)
 class Samples:
-    """Usable points of all photos, one after the other: K values each, or K x 3.
+    """Usable points of all photos, one after the other: K values each, or K x 3."""
 
-    Args:
-        names: of the photos; ``photo`` is the number of each point's.
-        log: natural logarithm of the mean of its channels; ``colour`` those of the channels over it.
-        weight: 1 / (1 + noise of the logarithm / error of the model)^2.
-        texel: points of one texel have one albedo.
-        cell: points of one cell may err alike.
-        glossy: whether there may be a lobe.
-    """
-
-    names: list[str]
+    names: list[str]  # of the photos; photo is the number of each point's
     photo: np.ndarray
     points: Array
     radius2: Array
-    log: Array
+    log: Array  # natural logarithm of the mean of its channels; colour those of the channels over it
     colour: Array
-    weight: Array
-    texel: np.ndarray
-    cell: np.ndarray
-    glossy: bool
+    weight: Array  # 1 / (1 + noise of the logarithm / error of the model)^2
+    texel: np.ndarray  # points of one texel have one albedo
+    cell: np.ndarray  # points of one cell may err alike
+    glossy: bool  # whether there may be a lobe
 
     @classmethod
     def of(cls, rig: Rig, seen: Mapping[str, _Seen], what: str, glossy: bool) -> Samples:

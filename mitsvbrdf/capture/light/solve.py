@@ -30,31 +30,20 @@ BELOW, ABOVE = 2.0, 3.0  # standard deviations from where residuals count less
 
 @dataclass(frozen=True)
 class Shading:
-    """What shading says of a rig, and how sure that is.
+    """What shading says of a rig, and how sure that is."""
 
-    Args:
-        lens: the rig's, with ``flash`` and ``vignetting``.
-        intensity: radiant intensity of the flash (rgb), of a photo of ``log_exposure`` 0; display value 1 is
-            radiance 1.
-        log_exposure: natural logarithm of the relative exposure, by name of the photo.
-        deviations: standard deviations of ``flash_x``, ``flash_y``, ``flash_z`` (the rig's unit), ``v1``,
-            ``v2`` and ``log_intensity``.
-        exposure_deviations: those of ``log_exposure``.
-        evenness: by name, 0 where light falls off as a flash's, 1 where it is even; 0 too where that cannot
-            be told.
-        poses: by name; those of photos that were saved upside down are turned.
-        notes: what was assumed, and which photos do not count.
-        tint: of photos whose white balance is not that of the others, by name: factors of rgb.
-    """
-
-    lens: Lens
+    lens: Lens  # the rig's, with flash and vignetting
+    # radiant intensity of the flash (rgb), of a photo of log_exposure 0; display value 1 is radiance 1
     intensity: tuple[float, float, float]
-    log_exposure: dict[str, float]
+    log_exposure: dict[str, float]  # natural logarithm of the relative exposure, by name of the photo
+    # standard deviations of flash_x, flash_y, flash_z (the rig's unit), v1, v2 and log_intensity
     deviations: dict[str, float]
-    exposure_deviations: dict[str, float]
+    exposure_deviations: dict[str, float]  # those of log_exposure
+    # by name, 0 where light falls off as a flash's, 1 where it is even; 0 too where that cannot be told
     evenness: dict[str, float]
-    poses: dict[str, Pose]
-    notes: tuple[str, ...] = ()
+    poses: dict[str, Pose]  # by name; those of photos that were saved upside down are turned
+    notes: tuple[str, ...] = ()  # what was assumed, and which photos do not count
+    # of photos whose white balance is not that of the others, by name: factors of rgb
     tint: dict[str, Array] = field(default_factory=dict)
 
 

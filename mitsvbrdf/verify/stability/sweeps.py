@@ -46,29 +46,20 @@ class Case:
 
     It is expected to come out finite, and as exact as float32 and its conditioning allow, unless ``refused``
     or ``known`` say otherwise.
-
-    Args:
-        sweep: key of :data:`SWEEPS`.
-        label: what is special about it.
-        value: where it stands on the axis of its sweep's plot, or None where it does not belong there.
-        svbrdf: the material, float32, valid.
-        views: camera and light positions, valid.
-        texels: R x R, bool: which texels are compared; None for all.
-        transfer: where given, gradients are those of the photometric loss on photos of this transfer
-            function, of a material a little different; else of the product of the image with fixed random
-            numbers.
-        refused: whether maps or views are invalid, and have to be refused as such.
-        known: what is known to be worse, by renderer: the largest relative error allowed, and its cause.
     """
 
-    sweep: str
-    label: str
+    sweep: str  # key of SWEEPS
+    label: str  # what is special about it
+    # where it stands on the axis of its sweep's plot, or None where it does not belong there
     value: float | None
-    svbrdf: SVBRDF
-    views: Views
-    texels: Tensor | None = None
+    svbrdf: SVBRDF  # the material, float32, valid
+    views: Views  # camera and light positions, valid
+    texels: Tensor | None = None  # R x R, bool: which texels are compared; None for all
+    # where given, gradients are those of the photometric loss on photos of this transfer function, of a
+    # material a little different; else of the product of the image with fixed random numbers
     transfer: color.Transfer | None = None
-    refused: bool = False
+    refused: bool = False  # whether maps or views are invalid, and have to be refused as such
+    # what is known to be worse, by renderer: the largest relative error allowed, and its cause
     known: Known = field(default_factory=dict)
 
     def display(self, radiance: Tensor) -> Tensor:
