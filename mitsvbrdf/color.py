@@ -73,11 +73,7 @@ RESPONSES: dict[str, Response] = {
 
 
 def response(transfer: Transfer) -> Response:
-    """The response of this name.
-
-    Raises:
-        ConfigError: there is none.
-    """
+    """The response of this name; ConfigError where there is none."""
     if transfer not in get_args(Transfer):
         raise ConfigError(f"a transfer function of {get_args(Transfer)}", repr(transfer),
                           "choose one of these")

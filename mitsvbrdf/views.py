@@ -266,11 +266,7 @@ def geometry(views: Views, resolution: int) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def whole_numbers(index: Sequence[int] | Tensor) -> list[int]:
-    """An index as a list of whole numbers.
-
-    Raises:
-        CaptureError: the index is something else, such as text, fractions or truth values.
-    """
+    """An index as a list of whole numbers; CaptureError for text, fractions, truth values and the like."""
     try:
         numbers: list = index.tolist() if hasattr(index, "tolist") else list(index)
         if any(isinstance(number, bool) for number in numbers):
@@ -281,11 +277,7 @@ def whole_numbers(index: Sequence[int] | Tensor) -> list[int]:
 
 
 def photo_numbers(text: str | None) -> list[int] | None:
-    """The numbers in a text like ``0,1,2,5``. None stands for all photos.
-
-    Raises:
-        ConfigError: the text has no numbers.
-    """
+    """The numbers in a text like ``0,1,2,5``, ConfigError where it has none. None stands for all photos."""
     try:
         return None if text is None else [int(part) for part in text.split(",")]
     except ValueError:

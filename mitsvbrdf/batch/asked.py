@@ -58,11 +58,7 @@ class Asked:
 
     @property
     def identity(self) -> str:
-        """SHA-256, in hex, of photos, calibration, options, files that options name, and version.
-
-        Raises:
-            OSError: a file cannot be read.
-        """
+        """SHA-256, in hex, of photos, calibration, options, files that options name, and version."""
         source, files = self.entry.source, named_files(self.config.fix)
         files += filter(None, [getattr(self.config, "pretrained", None)])
         if is_url(source):

@@ -139,8 +139,7 @@ def run(methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequen
 def read_records(path: Path) -> list[Record]:
     """The records of a file; an unfinished last line, as a killed run leaves it, is no record.
 
-    Raises:
-        ConfigError: it cannot be read, or holds something else.
+    ConfigError: it cannot be read, or holds something else.
     """
     what, fix = "records of a benchmark, one JSON object a line", "choose another --json"
     try:
@@ -201,9 +200,8 @@ def fit(capture: Capture, renderer: Renderer, config: FitConfig,
         report: Callable[[float], None]) -> tuple[Fit, Predict]:
     """One fit, and what it predicts for photos. The light falls off as the method takes for granted.
 
-    Raises:
-        KeyboardInterrupt: Ctrl-C ended it.
-        MitsvbrdfError: it cannot be done, or its budget ends before the first step.
+    KeyboardInterrupt: Ctrl-C ended it. MitsvbrdfError: it cannot be done, or its budget ends before the first
+    step.
     """
     def lit(shots: Capture) -> Capture:
         return replace(shots, views=replace(shots.views, falloff=config.falloff))

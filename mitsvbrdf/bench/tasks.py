@@ -156,10 +156,8 @@ def _chosen(asked: Sequence[str] | None, known: Mapping[str, str]) -> list[str]:
 
 
 def data_folder(folder: Path | None = None) -> Path | None:
-    """The folder of real captures and known materials: as named, else MITSVBRDF_DATA; None: there is none.
-
-    Raises:
-        ConfigError: it has neither ``captures/`` nor ``materials/``.
+    """The folder of real captures and known materials, ConfigError for any other: as named, else
+    MITSVBRDF_DATA; None: there is none.
     """
     named = folder or (Path(os.environ["MITSVBRDF_DATA"]) if os.environ.get("MITSVBRDF_DATA") else None)
     if named is not None and not ((named / "captures").is_dir() or (named / "materials").is_dir()):

@@ -39,10 +39,8 @@ MOST_HELD = 500_000_000  # pixels of all photos of a capture, shrunk: 6 GB
 
 
 def stated_in(folder: Path) -> Path | None:
-    """The JSON file in a folder that states views of photos, as svbrdf-diff-renderer names it, or None.
-
-    Raises:
-        CaptureError: several do, and they differ.
+    """The JSON file in a folder that states views of photos, as svbrdf-diff-renderer names it, or None;
+    CaptureError for several that differ.
     """
     found: dict[Path, list] = {}
     for path in sorted(folder.glob("*.json")):
@@ -59,9 +57,7 @@ def stated_in(folder: Path) -> Path | None:
 
 def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
     """The capture of a ``capture.json``; without ``camera_pos`` its views are the default geometry.
-
-    Raises:
-        CaptureError: naming what is missing or wrong.
+    CaptureError names what is missing or wrong.
     """
     stated = read_json(path, CaptureError)
     uncalibrated = "camera_pos" not in stated
@@ -117,10 +113,8 @@ def _assumed(stated: dict, path: Path, rows: int) -> dict:
 
 
 def from_text(folder: Path, falloff: Falloff, resolution: int | None) -> Capture:
-    """The capture of MaterialGAN's text files beside its photos, shrunk to ``resolution``.
-
-    Raises:
-        CaptureError: naming what is missing or wrong.
+    """The capture of MaterialGAN's text files beside its photos, shrunk to ``resolution``. CaptureError names
+    what is missing or wrong.
     """
     photos = _numbered(folder)
     camera = _stated(_table(folder / "camera_pos.txt"), ROWS, str(folder / "camera_pos.txt"))

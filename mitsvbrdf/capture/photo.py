@@ -62,8 +62,7 @@ class Photo:
     def open(cls, path: str | Path) -> Photo:
         """A photo by its file, with only its header read.
 
-        Raises:
-            CaptureError: no image can be read from it, or the package that reads such files is missing.
+        CaptureError: no image can be read from it, or the package that reads such files is missing.
         """
         path = Path(path)
         if not path.is_file():  # a pipe or a device would be waited for
@@ -81,10 +80,8 @@ class Photo:
         return cls(path, about.size, about.orientation, read_exif(path, about.kind), False, about.profile)
 
     def read(self) -> Picture:
-        """RGB as stored: display values, of RAW files linear ones; 0 where alpha masks them.
-
-        Raises:
-            Unreadable: the file is damaged or cut off.
+        """RGB as stored: display values, of RAW files linear ones; 0 where alpha masks them. Unreadable: the
+        file is damaged or cut off.
         """
         with _readable(self.path):
             if not self.linear:
@@ -146,9 +143,8 @@ def files_of(folder: Path, suffixes: Sequence[str] | None) -> list[Path]:
 def photos_in(folder: str | Path) -> list[Path]:
     """The photos of a folder by name, hidden ones aside.
 
-    Raises:
-        CaptureError: none, or RAW files beside others, whose values mean something else.
-        ConfigError: a name that is not UTF-8.
+    CaptureError: none, or RAW files beside others, whose values mean something else. ConfigError: a name that
+    is not UTF-8.
     """
     found = files_of(folder := Path(folder), SUFFIXES)
     check_names(*found)

@@ -60,10 +60,8 @@ def placed(capture: Capture, fit: Fit) -> Capture:
 
 
 def named_views(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views, list[str]]:
-    """Names and views of a capture (:func:`placed`) or of ``builtin:grid``; and what was noticed.
-
-    Raises:
-        CaptureError: the source is neither.
+    """Names and views of a capture (:func:`placed`) or of ``builtin:grid``, CaptureError for neither; and
+    what was noticed.
     """
     if source == "builtin:grid":
         views = replace(nine_view_grid(), falloff=falloff)

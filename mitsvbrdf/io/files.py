@@ -45,10 +45,8 @@ def write_bytes(path: Path, data: bytes) -> None:
 def atomic_write(path: Path) -> Iterator[Path]:
     """A temporary name in the same folder, renamed onto ``path`` when the block ends well, else removed.
 
-    A symbolic link stays one: what it points to is replaced.
-
-    Raises:
-        OutputError: the folder cannot be made or written to, or something other than a file has this name.
+    A symbolic link stays one: what it points to is replaced. OutputError: the folder cannot be made or
+    written to, or something other than a file has this name.
     """
     path, temporary = _places(path)
     try:

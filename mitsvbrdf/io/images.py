@@ -61,10 +61,8 @@ def read_image(path: Path, error: type[MitsvbrdfError], data: bool = False) -> T
 def read_exr(path: Path, error: type[MitsvbrdfError]) -> np.ndarray:
     """What an EXR's display window shows: H x W x 3, 2 or 1, contiguous float32; 0 where it has no pixels.
 
-    The picture is R, G, B, or X, Y, Z, or two or one of them, at the top level or in a layer of its own.
-
-    Raises:
-        MitsvbrdfError: as ``error``: the file is missing, damaged or too large, or leaves open which picture.
+    The picture is R, G, B, or X, Y, Z, or two or one of them, at the top level or in a layer of its own. A
+    file that is missing, damaged or too large, or leaves open which picture, raises ``error``.
     """
     import OpenEXR
 

@@ -29,8 +29,7 @@ LARGEST = 2**30  # bytes of a file
 def gltf_set(path: Path, encoding: str | None, normal: NormalConvention | None) -> Iterator[MapSet]:
     """The one material of a file, whose textures are files as long as the context lasts.
 
-    Raises:
-        MapsError: another file, several materials, or what the reader does not know.
+    MapsError: another file, several materials, or what the reader does not know.
     """
     asked = asked_codes(encoding, normal)
     with tempfile.TemporaryDirectory() as spare:

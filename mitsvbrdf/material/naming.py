@@ -74,13 +74,11 @@ def words(stem: str) -> list[str]:
 
 
 def sources(folder: Path) -> tuple[dict[str, Source], list[Path]]:
-    """Maps by kind (those of SVBRDFs, and ``specular_level``), and the images that are none of them.
+    """Maps by kind (those of SVBRDFs, and ``specular_level``), and the images that are none of them;
+    MapsError for two files of one map.
 
     Names that the files have in common, such as the material's, mean nothing: ``rusty_metal_rough`` beside
     ``rusty_metal_diff`` is a roughness.
-
-    Raises:
-        MapsError: two files for one map.
     """
     images = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
     common = _in_common([path.stem for path in images if kind_of(path.stem)])

@@ -43,9 +43,8 @@ class Environment:
 def make_environment(mi: ModuleType, name: str) -> Environment:
     """An environment by its name in :data:`ENVIRONMENTS`, or from an .exr or .hdr file.
 
-    Raises:
-        ConfigError: no such name; a file that is missing, unreadable, too small, not finite, negative, or
-            black above the horizon.
+    ConfigError: no such name; a file that is missing, unreadable, too small, not finite, negative, or black
+    above the horizon.
     """
     if name == "none":
         lamp = {"type": "point", "position": LAMP,

@@ -56,10 +56,8 @@ def check_apart(folder: Path, capture: Capture) -> None:
 
 
 def keep_photos(folder: Path, capture: Capture) -> None:
-    """The photos as ``photos/NN.png``: display values, 8 bits.
-
-    Raises:
-        OutputError: they cannot be written, or the capture's own files are there.
+    """The photos as ``photos/NN.png``: display values, 8 bits. OutputError: the capture's own files are
+    there.
     """
     check_apart(folder, capture)
     for name, photo in zip(capture.names, capture.photos):
