@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -21,6 +21,7 @@ from ..fit.config import FitConfig, HierarchicalConfig
 from ..fit.fixed_maps import named_files
 from ..fit.methods import METHODS
 from ..fit.options import FitOptions, config_record
+from ..io import Report
 from ..io.files import file_hash
 from ..io.json import load
 from .captures import Entry, is_calibrated, name_of
@@ -124,7 +125,7 @@ class Stock:
 
 
 def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
-               report: Callable[[str, float], None] = lambda *_: None) -> Stock:
+               report: Report = lambda text, share: None) -> Stock:
     """Compare what is asked for with the folders of a library, which is this process's own.
 
     Args:
@@ -165,7 +166,7 @@ def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
     return stock
 
 
-def _materials(asked: list[Asked], report: Callable[[str, float], None]) -> Iterator[Material | OutputError]:
+def _materials(asked: list[Asked], report: Report) -> Iterator[Material | OutputError]:
     """What a library keeps of each capture, or why it cannot be read."""
     with ThreadPoolExecutor() as pool:
         for number, (each, found) in enumerate(zip(asked, pool.map(_material, asked))):

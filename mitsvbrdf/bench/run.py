@@ -21,13 +21,11 @@ from ..evaluate import as_fitted
 from ..evaluate.placement import predict
 from ..fit import DirectConfig, Fit, FitConfig, fit_svbrdf
 from ..fit.methods import METHODS
-from ..io import files
+from ..io import Report, files
 from ..io.provenance import machine
 from ..io.timing import timed
 from ..render import Renderer
 from .tasks import Predict, Task
-
-Report = Callable[[str, float], None]  # told what is going on, and the share done
 
 
 class Record(TypedDict):

@@ -15,7 +15,7 @@ import torch
 
 from .. import color
 from ..errors import CaptureError, ConfigError
-from ..io import files
+from ..io import Report, files
 from ..io.decode import Picture, upright
 from ..io.entry import entry
 from ..io.images import averaged, unmasked, write_png
@@ -33,8 +33,7 @@ MOST_SQUARE = 2048  # pixels a side of what is read of a photo without calibrati
 @entry()
 def read_capture(folder: str | Path, resolution: int | None = None, index: Sequence[int] | None = None,
                  transfer: color.Transfer | None = None, falloff: Falloff = "inverse-square",
-                 log: Callable[[str], None] | None = None,
-                 report: Callable[[str, float], object] = lambda text, share: None) -> Capture:
+                 log: Callable[[str], None] | None = None, report: Report = lambda text, share: None) -> Capture:
     """Read photos of one patch.
 
     Three kinds of folder are understood, in this order:
@@ -151,7 +150,7 @@ def _stated_above(folder: Path) -> Path | None:
 
 
 def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer: color.Transfer | None,
-                report: Callable[[str, float], object]) -> Capture:
+                report: Report) -> Capture:
     """Raw photos: what `mitsvbrdf capture` makes of them; of fewer than three, the first alone.
 
     Photos that show everything in the same place are taken for rectified.

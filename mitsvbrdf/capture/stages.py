@@ -17,7 +17,7 @@ rectified patch is kept.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
@@ -25,6 +25,7 @@ import torch
 
 from .. import color
 from ..errors import ConfigError
+from ..io import Report
 from ..io.entry import entry
 from ..views import coverage_angle
 from .align.from_photos import rig_from_photos
@@ -41,7 +42,6 @@ from .rectify import Rectified
 from .rig import Rig, check_enough, rig_to_json
 
 Reference = Literal["best", "first"]
-Report = Callable[[str, float], object]  # is told what is going on, and the share done
 
 MOST_SIDE = 4096  # pixels, of a rectified photo
 COVERAGE_SIDE = 64

@@ -5,3 +5,7 @@
 talks to the user, ``streams`` lets no full disk end that, ``signals`` listens for Ctrl-C. ``profile`` says
 where a fit's time goes, ``timing`` compares jobs, ``provenance`` names the machine and the versions.
 """
+
+from collections.abc import Callable
+
+Report = Callable[[str, float], object]  # is told what is going on, and the share done

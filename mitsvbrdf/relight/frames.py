@@ -13,7 +13,7 @@ import numpy as np
 from torch import Tensor
 
 from ..errors import BackendError, ConfigError, MapsError, MitsvbrdfError
-from ..io import files, images
+from ..io import Report, files, images
 from ..io.entry import entry
 from ..io.json import load
 from ..io.provenance import machine, versions
@@ -107,8 +107,7 @@ def _found(place: Path, settings: Mapping) -> tuple[Record, list[str]]:
 
 @entry()
 def render_stages(mi: ModuleType, stages: Sequence[Stage], stop: Stop, record: Record, folder: Path, *,
-                  seed: int = 0, exposure: float = 0.0,
-                  report: Callable[[str, float], object] = lambda text, share: None,
+                  seed: int = 0, exposure: float = 0.0, report: Report = lambda text, share: None,
                   done: Callable[[Stage], object], interrupted: Sequence = ()) -> bool:
     """Render the frames that the record lacks, in order; frames are EXR files, stills have a PNG beside.
 

@@ -24,6 +24,7 @@ from torch import Tensor
 
 from .. import color
 from ..errors import ConfigError, MapsError
+from ..io import Report
 
 JACKKNIFE_GROUPS = 8
 # samples of one call of the renderer: a second or so, after which Ctrl-C and a budget are looked at
@@ -73,8 +74,7 @@ def shown(image: Tensor, exposure: float = 0.0) -> Tensor:
 
 
 def render_passes(draw: Callable[[int, int], Tensor], stop: Stop, *, pixels: int, exposure: float = 0.0,
-                  report: Callable[[str, float], object] = lambda text, share: None,
-                  interrupted: Sequence = ()) -> Rendered:
+                  report: Report = lambda text, share: None, interrupted: Sequence = ()) -> Rendered:
     """Add passes until the frame is done.
 
     Args:
@@ -119,7 +119,7 @@ def render_passes(draw: Callable[[int, int], Tensor], stop: Stop, *, pixels: int
 
 
 def render_frame(mi: ModuleType, scene: Any, stop: Stop, *, seed: int = 0, name: str = "",
-                 exposure: float = 0.0, report: Callable[[str, float], object] = lambda text, share: None,
+                 exposure: float = 0.0, report: Report = lambda text, share: None,
                  interrupted: Sequence = ()) -> Rendered:
     """Render a loaded Mitsuba scene with its own sensor, integrator and independent sampler; see
     :func:`render_passes`.

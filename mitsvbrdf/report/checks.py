@@ -11,6 +11,7 @@ from torch import Tensor
 
 from .. import color
 from ..errors import BackendError
+from ..io import Report
 from ..io.provenance import machine, versions
 from ..io.timing import side_by_side
 from ..material.maps import SVBRDF
@@ -27,8 +28,6 @@ QUICK_SIDE, QUICK_VIEWS = 64, 2  # what a fit checks beside its own work: below 
 # texels a side; errors and ratios hardly hang on it. Float64 takes 50 MB a view
 LARGEST, MOST_VIEWS = 256, 25
 CONDITION_SIDE = 16
-
-Report = Callable[[str, float], object]
 
 
 def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names: Sequence[str],

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 import torch
@@ -21,7 +20,7 @@ from ..evaluate.placement import predict
 from ..fit.confidence import UNKNOWN
 from ..fit.diagnose import about_views
 from ..fit.result import Fit
-from ..io import files, images
+from ..io import Report, files, images
 from ..io.json import NUMBER, load, shape_error
 from ..material.maps import CHANNELS, TITLES, shown_map
 from ..measure.metrics import photo_rmse
@@ -42,8 +41,6 @@ LARGEST_PHOTO, SMALLEST_PHOTO, PHOTOS_WIDE = 512, 96, 768  # nine photos get 256
 FORMER = "left_out", "left_out_rmse"  # keys of report.json of version 1.0
 # how far the error of a photo may be from what fit.json says; the same photos agree to float32, 1e-7
 SAME_PHOTO = 1e-4
-
-Report = Callable[[str, float], object]
 
 
 def check_apart(folder: Path, capture: Capture) -> None:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import math
 import statistics
-from collections.abc import Callable, Iterable, Mapping, MutableMapping, Sequence
+from collections.abc import Iterable, Mapping, MutableMapping, Sequence
 from functools import partial
 from typing import Any
 
@@ -19,6 +19,7 @@ from torch import Tensor
 
 from .. import color
 from ..errors import BackendError
+from ..io import Report
 from ..io.entry import entry
 from ..io.provenance import machine, versions
 from ..io.timing import in_turns, spread
@@ -33,8 +34,6 @@ from ..views import Views
 from .float32_limits import float32_limit
 
 SCHEMA_VERSION = 2
-
-Report = Callable[[str, float], object]
 
 
 @entry(gradients=True)

@@ -15,13 +15,14 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 
 from ...errors import CaptureError
+from ...io import Report
 from ..lens import Array, Lens, Pose, expected_lens, unsure_note
 from ..photo import Photo
 from ..rig import LEAST_PHOTOS, Rig, check_enough, check_places
@@ -56,7 +57,7 @@ NEEDED = ("that show the same part of a flat material",
 
 
 def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"] = "best",
-                    report: Callable[[str, float], object] = lambda text, share: None) -> Rig:
+                    report: Report = lambda text, share: None) -> Rig:
     """Lens and poses of overlapping photos of a flat material.
 
     World: the material in z = 0; the patch, of side 1, is the largest square that all photos show, upright as

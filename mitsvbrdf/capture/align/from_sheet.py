@@ -8,12 +8,13 @@ and weak priors on the lens.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from ...errors import CaptureError
+from ...io import Report
 from ...io.layout import Layout
 from ..lens import Array, Lens, Pose, expected_lens, project, unsure_note
 from ..photo import Photo
@@ -37,7 +38,7 @@ LENS = Layout(log_focal=(), centre=(2,), distortion=(2,))  # its unknowns: what 
 
 
 def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.0,
-                   report: Callable[[str, float], object] = lambda text, share: None) -> Rig:
+                   report: Report = lambda text, share: None) -> Rig:
     """Lens and poses in cm from photos of the sheet; the patch is its middle 0.64, in z = 0.
 
     Of photos rectified to the sheet its source is ``none``. One photo at a time is in memory.

@@ -16,6 +16,7 @@ from ... import color
 from ...color import TOE
 from ...errors import MitsvbrdfError
 from ...fit.losses import photometric
+from ...io import Report
 from ...io.entry import entry
 from ...io.provenance import machine, versions
 from ...measure.gradients import Measured, render_and_gradients
@@ -31,8 +32,6 @@ from .sweeps import SWEEPS, Case
 SCHEMA_VERSION = 2
 # a gradient entry of this share of its texel's is above float32's rounding: 0 in its place was put there
 ABOVE_ROUNDING = 1e-5
-
-Report = Callable[[str, float], object]
 
 
 @entry(gradients=True)
