@@ -33,7 +33,8 @@ MOST_SQUARE = 2048  # pixels a side of what is read of a photo without calibrati
 @entry()
 def read_capture(folder: str | Path, resolution: int | None = None, index: Sequence[int] | None = None,
                  transfer: color.Transfer | None = None, falloff: Falloff = "inverse-square",
-                 log: Callable[[str], None] | None = None, report: Report = lambda text, share: None) -> Capture:
+                 log: Callable[[str], None] | None = None,
+                 report: Report = lambda text, share: None) -> Capture:
     """Read photos of one patch.
 
     Three kinds of folder are understood, in this order:
