@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
+import torch
 
 from mitsvbrdf.batch import captures as captures_module
-from mitsvbrdf.batch.captures import Entry, captures, local_capture, name_of
+from mitsvbrdf.batch.captures import Entry, captures, local_capture, name_of, rectified
+from mitsvbrdf.capture.align import from_sheet
 from mitsvbrdf.errors import CaptureError, ConfigError
+from mitsvbrdf.io import images
 
 
 @pytest.fixture
@@ -149,3 +153,13 @@ def test_captures_behind_a_url_are_found_as_in_a_folder(shots):
     with local_capture(f"{url}/wood") as folder:
         assert [path.name for path in folder.iterdir()] == ["00.png"] and folder.name == "wood"
     assert not folder.exists()
+
+
+def test_a_sheet_without_its_size_is_told_with_the_options_of_a_batch(tmp_path, monkeypatch):
+    for number in range(3):
+        images.write_png(tmp_path / f"{number}.png", torch.full((64, 64, 3), 0.5))
+    monkeypatch.setattr(from_sheet, "find_edges", lambda *_, **__: SimpleNamespace(corners=range(30)))
+    with pytest.raises(CaptureError, match="30 tags in 0.*`--sheet 18`, to the command or on the line of a "
+                                           "list") as error:
+        rectified(tmp_path, tmp_path / "out", None, None)
+    assert "mitsvbrdf capture" not in str(error.value)
