@@ -40,9 +40,7 @@ def check_arguments(function: Callable, args: tuple, kwargs: Mapping[str, Any]) 
 
 
 def check_fields(instance: Any, *names: str) -> None:
-    """Raise ConfigError for the first of these fields of a dataclass, or of all, that is not of its
-    annotation's kind.
-    """
+    """Raise ConfigError for the first field of a dataclass, of all or of these, of another kind."""
     owner: Any = type(instance)
     hints, _ = _about(owner)
     for name in names or [field.name for field in fields(instance)]:

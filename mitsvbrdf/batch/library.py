@@ -89,8 +89,8 @@ class Library:
                 **{name: f"{folder}/{file}" if file in there else None for name, file in FILES.items()}}
 
     def write(self, progress: str = "") -> None:
-        """Write ``library.json``, for pandas and others, and the page, with the words of how a batch stands
-        that is at work.
+        """Write ``library.json``, for pandas and others, and the page; ``progress`` of a batch at work in
+        words.
         """
         write = self.results.store.write
         told = {"title": self.results.title, "made": now(), "version": __version__, "progress": progress,

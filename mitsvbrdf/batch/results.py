@@ -64,8 +64,7 @@ class ResultStore:
         return {each.folder: each for each in (*failed, *map(self.result, self.names())) if each}
 
     def damage(self, result: Material, hashes: bool) -> str:
-        """What is wrong with the files of a result, in words; empty where nothing is. ``hashes`` compares
-        contents, not only sizes.
+        """What is wrong with a result's files (and with ``hashes`` their contents); empty where nothing is.
         """
         there = self.store.objects(result.folder)
         for name, stated in result.files.items():

@@ -172,9 +172,7 @@ def identity(record: Mapping[str, Any]) -> str:
 
 
 def settings_of(config: FitConfig) -> dict[str, Any]:
-    """The class and the settings that are not the class's own, as JSON has them; each fit sets budget and
-    seed.
-    """
+    """The class and settings that are not its own, as JSON has them; each fit sets budget and seed."""
     own = asdict(type(config)())
     changed = {name: value for name, value in asdict(config).items()
                if value != own[name] and name not in ("budget", "seed")}

@@ -85,9 +85,7 @@ Task = KnownMaterial | RealCapture
 
 def known_material(name: str, resolution: int, views: Views, renderer: Renderer,
                    seen_from: str = "builtin:grid") -> KnownMaterial:
-    """A task from ``builtin:NAME`` or a folder of maps: 8-bit photos without noise, from views that records
-    call ``seen_from``.
-    """
+    """8-bit photos without noise of ``builtin:NAME`` or a folder of maps; records name their views."""
     if name.startswith("builtin:"):
         truth, folder = make_material(name.removeprefix("builtin:"), resolution), None
     else:
@@ -156,9 +154,7 @@ def _chosen(asked: Sequence[str] | None, known: Mapping[str, str]) -> list[str]:
 
 
 def data_folder(folder: Path | None = None) -> Path | None:
-    """The folder of real captures and known materials, ConfigError for any other: as named, else
-    MITSVBRDF_DATA; None: there is none.
-    """
+    """The folder of captures and known materials: as named, else MITSVBRDF_DATA, else None."""
     named = folder or (Path(os.environ["MITSVBRDF_DATA"]) if os.environ.get("MITSVBRDF_DATA") else None)
     if named is not None and not ((named / "captures").is_dir() or (named / "materials").is_dir()):
         raise ConfigError("a folder with captures/ or materials/", str(named),

@@ -60,9 +60,7 @@ def placed(capture: Capture, fit: Fit) -> Capture:
 
 
 def named_views(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views, list[str]]:
-    """Names and views of a capture (:func:`placed`) or of ``builtin:grid``, CaptureError for neither; and
-    what was noticed.
-    """
+    """Names and views of a capture (:func:`placed`) or of ``builtin:grid``; and what was noticed."""
     if source == "builtin:grid":
         views = replace(nine_view_grid(), falloff=falloff)
         return [f"{i:02d}" for i in range(len(views))], views, []

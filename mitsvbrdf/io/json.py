@@ -22,9 +22,7 @@ NUMBER = (int, float)  # in a shape, see :func:`shape_error`
 
 def read_json(path: Path, error: type[MitsvbrdfError], expected: str = "a valid JSON file",
               fix: str = "mend it or export it again", kind: type = dict) -> Any:
-    """:func:`load`, whose exceptions become an ``error`` with the name of the file and the expected content,
-    in a few words.
-    """
+    """:func:`load`, whose exceptions become an ``error`` with the file's name and the expected content."""
     try:
         return load(path, kind)
     except (OSError, ValueError) as reason:

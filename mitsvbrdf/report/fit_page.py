@@ -53,9 +53,7 @@ def check_apart(folder: Path, capture: Capture) -> None:
 
 
 def keep_photos(folder: Path, capture: Capture) -> None:
-    """The photos as ``photos/NN.png``: display values, 8 bits. OutputError: the capture's own files are
-    there.
-    """
+    """The photos as ``photos/NN.png``: display values, 8 bits; OutputError among the capture's own."""
     check_apart(folder, capture)
     for name, photo in zip(capture.names, capture.photos):
         images.write_png(folder / "photos" / f"{name}.png", photo)

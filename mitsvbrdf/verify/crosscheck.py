@@ -238,9 +238,7 @@ def omitted(record: dict) -> list[dict]:
 
 
 def violations(record: dict) -> list[dict]:
-    """What exceeds the stated tolerances, each with what float32 allows there as ``limit``, None where that
-    is not known.
-    """
+    """What exceeds the stated tolerances; ``limit`` is what float32 allows there, None where unknown."""
     return [{name: configuration[name] for name in ("material", "bsdf", "renderer")} | each
             for configuration in record["configurations"] for each in _exceeded(configuration)]
 

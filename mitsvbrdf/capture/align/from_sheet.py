@@ -100,9 +100,7 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
 
 def refuse_tags(photos: Sequence[Photo],
                 how: str = "give that, for example `mitsvbrdf capture PHOTOS -o CAPTURE --sheet 18`") -> None:
-    """Refuse photos of a sheet without its size: the tags would pass for material. ``how`` says what to do
-    with it.
-    """
+    """Refuse photos of a sheet without its size, whose tags would pass for material; ``how`` to give it."""
     count = len(find_edges(photos[0], Sheet(), patient=False).corners) if photos else 0
     if count >= LEAST_TAGS:
         raise CaptureError("--sheet CM for photos of a sheet of tags",

@@ -28,9 +28,7 @@ WIDER = {"adaptiveThreshWinSizeMin": 23, "adaptiveThreshWinSizeMax": 143, "adapt
 
 
 def detected(grey: NDArray[np.uint8], **options: Any) -> dict[int, Array]:
-    """Corners of the tags (4 x 2) by id; a tag that is seen twice is none. Options are those of OpenCV's
-    ``DetectorParameters``.
-    """
+    """Corners of tags (4 x 2) by id, none of one seen twice; options of OpenCV's ``DetectorParameters``."""
     import cv2
 
     cells = [np.ascontiguousarray(tag_cells(number)[1:-1, 1:-1]).astype(np.uint8)

@@ -41,9 +41,7 @@ class Lit:
     @classmethod
     def of(cls, rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Paper | None = None,
            depth: float = 0.0) -> Lit:
-        """The light of the photos that ``rig`` has poses of; ``depth`` is the z of the paper of a sheet, in
-        cm.
-        """
+        """The light of the photos that ``rig`` has poses of; a sheet's paper lies at z = ``depth`` cm."""
         given = [name for name in rectified.pictures if name in rig.poses]
         rig = replace(rig, poses={name: rig.poses[name] for name in given})
         shading, notes = _shading(rig, rectified, transfer, paper, depth)
