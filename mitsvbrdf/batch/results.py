@@ -64,8 +64,7 @@ class ResultStore:
         return {each.folder: each for each in (*failed, *map(self.result, self.names())) if each}
 
     def damage(self, result: Material, hashes: bool) -> str:
-        """What is wrong with a result's files (and with ``hashes`` their contents); empty where nothing is.
-        """
+        """What is wrong with a result's files (with ``hashes`` also inside); empty where nothing is."""
         there = self.store.objects(result.folder)
         for name, stated in result.files.items():
             if name not in there:
