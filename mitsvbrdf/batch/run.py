@@ -38,9 +38,6 @@ class Batch:
     would be refused again. What was lost with its node, or before the fit began, is handed out again at once.
 
     Args:
-        library: takes the results.
-        work: what is left to do.
-        settings: limits.
         token: that of the library, which each node must see.
         tell: told a line about each end.
     """

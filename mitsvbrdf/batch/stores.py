@@ -21,15 +21,11 @@ def is_url(address: str) -> bool:
 
 
 class Store:
-    """A folder, or an object store. Names in it are relative, with ``/`` between their parts.
+    """A folder, or an object store (by the URL of a folder in it). Names in it are relative, with ``/``
+    between their parts.
 
-    No link in a folder is followed. No listing is kept, since other workers write.
-
-    Args:
-        address: a path, or the URL of a folder in a store.
-
-    Raises:
-        MitsvbrdfError: fsspec does not know the URL, or a package is missing.
+    No link in a folder is followed. No listing is kept, since other workers write. MitsvbrdfError: fsspec
+    does not know the URL, or a package is missing.
     """
 
     def __init__(self, address: str) -> None:

@@ -120,7 +120,8 @@ def run(methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequen
     path, found, warm = Path(path), dict[str, Record](), set[tuple]()
     if path.exists():
         found = {identity(record): record for record in read_records(path)}
-        _end_of_lines(path)
+        with path.open("r+b") as file:  # an unfinished last line goes
+            file.truncate(file.read().rfind(b"\n") + 1)
     keys = [job.key(renderer) for job in jobs]
     missing = [(job, key) for job, key in zip(jobs, keys) if identity(key) not in found]
     for number, (job, key) in enumerate(missing):
@@ -239,10 +240,3 @@ def _warm_up(job: Job, renderer: Renderer, warm: set[tuple]) -> None:
         with contextlib.suppress(MitsvbrdfError):  # the fit itself tells
             fit(photos, renderer, replace(job.config, budget=None, iterations=2, seed=job.seed),
                 lambda share: None)
-
-
-def _end_of_lines(path: Path) -> None:
-    """Cut off an unfinished last line."""
-    with path.open("r+b") as file:
-        whole = file.read().rfind(b"\n") + 1
-        file.truncate(whole)

@@ -211,11 +211,11 @@ def mirrored(svbrdf: SVBRDF) -> SVBRDF:
 
 
 @entry()
-def sphere(svbrdf: SVBRDF, size: int = 512, variant: str = "llvm_ad_rgb") -> Tensor:
+def sphere(svbrdf: SVBRDF, size: int) -> Tensor:
     """The sphere as display values, size x size x 3; maps and mirror images cover it without a seam."""
     half = svbrdf.resolution // 2  # a whole patch faces the camera
     covering = mirrored(svbrdf).map(lambda value: value.roll((half, half), (0, 1)))
-    with using_mitsuba(variant) as mi:
+    with using_mitsuba() as mi:
         return shown(_picture(mi, covering, size), 0.0)
 
 

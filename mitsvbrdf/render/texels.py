@@ -65,14 +65,8 @@ class TexelRenderer(MitsubaRenderer):
 class HeldPlugin:
     """A Mitsuba plugin in its own shading frame, with the maps' values of the texel that a thread holds.
 
-    Its textures answer with these values, whatever the position.
-
-    :attr:`plugin` is Mitsuba's object.
-
-    Args:
-        mi: the ``mitsuba`` module with the variant to use.
-        bsdf: ``roughconductor`` or ``principled``.
-        needs: what to compute; the normal map is the caller's.
+    Its textures answer with these values, whatever the position. :attr:`plugin` is Mitsuba's object. The
+    normal map is the caller's.
     """
 
     def __init__(self, mi: ModuleType, bsdf: str, needs: Needs) -> None:

@@ -65,8 +65,10 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
     saved = None if quick or renderer is None else _saved(
         svbrdf.resized(side), shown, renderer, fixed, grey_specular,
         lambda share: report("what was saved", 0.7 + 0.3 * share))
+    coarse = svbrdf.resized(min(CONDITION_SIDE, svbrdf.resolution)).to(torch.float64)
+    slopes = jacobian(make_renderer("analytic64"), coarse, views, partial(color.encode, transfer=transfer))
     return {"schema_version": SCHEMA_VERSION, "quick": quick, "maps": maps,
-            "condition": _condition(svbrdf, views, transfer),
+            "condition": condition(slopes) | {"resolution": coarse.resolution},
             "crosscheck": checked and _figures(checked, timed=not quick), "saved": saved,
             "machine": machine(), "versions": versions()}
 
@@ -77,13 +79,6 @@ def _available(name: str, beside: Renderer | None) -> list[Renderer]:
         return [make_renderer(name, (beside and beside.variant) or "llvm_ad_rgb")]
     except BackendError:
         return []
-
-
-def _condition(svbrdf: SVBRDF, views: Views, transfer: color.Transfer) -> dict:
-    side = min(CONDITION_SIDE, svbrdf.resolution)
-    slopes = jacobian(make_renderer("analytic64"), svbrdf.resized(side).to(torch.float64), views,
-                      partial(color.encode, transfer=transfer))
-    return condition(slopes) | {"resolution": side}
 
 
 def _figures(record: dict, timed: bool) -> dict:

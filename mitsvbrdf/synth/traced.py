@@ -34,12 +34,10 @@ class HandheldRenderer:
     is left out.
 
     Args:
-        svbrdf: the material.
         side: of the sample in cm.
         sheet: a :class:`mitsvbrdf.capture.align.sheet.Sheet` that lies on it, or None.
         depth: of the sample under the sheet in cm.
         samples: rays a pixel, stratified and jittered: 1, 4, 16, ...
-        variant: the Mitsuba variant.
     """
 
     def __init__(self, svbrdf: SVBRDF, side: float, sheet: Sheet | None = None, depth: float = 0.0,
