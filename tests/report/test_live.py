@@ -87,14 +87,14 @@ def test_the_page_asks_nobody_and_holds_names_as_text(shots, every_step, tmp_pat
 
 def test_the_command_names_it_and_leaves_none_in_the_result(shots, tmp_path, capsys, monkeypatch, every_step):
     write_capture(shots, tmp_path / "photos")
-    written, write = [], LivePage._write
+    written, write = [], LivePage.__call__
 
     def noted(page, state):
         write(page, state)
         written.append(page.path)
         assert page.path.is_file() and page.path.with_name(live.MARK).is_file()
 
-    monkeypatch.setattr(LivePage, "_write", noted)
+    monkeypatch.setattr(LivePage, "__call__", noted)
     out = tmp_path / "out"
     assert cli.main(["fit", str(tmp_path / "photos"), "-o", str(out), "--method", "direct", "--iterations",
                      "3", "--resolution", "16", "--renderer", "analytic"]) == 0
@@ -115,7 +115,7 @@ def test_in_a_browser_it_goes_on_to_the_report(shots, tmp_path, every_step):
     with pytest.raises(AssertionError, match=gone), opened(page_file.path, beside=tmp_path) as page:
         assert "its result is being written" in page.inner_text("body").lower()
         written = page.inner_text("p.faint")
-        page_file._write(None)
+        page_file(None)
         page.wait_for_function("document.body.innerText.includes('being set up')")
         assert re.search(r"\d s ago", written)
         shutil.copytree(made, out)
