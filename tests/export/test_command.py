@@ -118,15 +118,6 @@ def test_exports_go_without_mitsuba(tmp_path, monkeypatch, capsys):
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [".mitsvbrdf", "gltf"]
 
 
-def test_export_is_replaced_when_asked_only(tmp_path, capsys):
-    save_maps(flat(8), tmp_path / "m")
-    command = ["export", str(tmp_path / "m"), "--to", "gltf", "--no-preview", "-o", str(tmp_path / "out")]
-    assert cli.main(command) == 0
-    assert cli.main(command) == 2 and "--overwrite" in capsys.readouterr().err
-    assert cli.main([*command, "--overwrite", "--to", "usd"]) == 0
-    assert not (tmp_path / "out/gltf").exists() and (tmp_path / "out/usd/material.usda").is_file()
-
-
 @pytest.mark.parametrize("arguments, word", [
     (["--to", "gltf,obj"], "obj"), (["--to", ""], "gltf"), (["--to", "gltf", "--naming", "polyhaven"],
                                                             "maps"),

@@ -9,16 +9,7 @@ import imagecodecs
 import numpy as np
 import OpenEXR
 import pytest
-from helpers.colour_files import (
-    ACES,
-    SPACES,
-    SRGB,
-    encoded_in,
-    icc_of,
-    save_in,
-    with_chromaticities,
-    with_chunk,
-)
+from helpers import colour_files
 from PIL import Image, ImageCms
 
 from mitsvbrdf.errors import CaptureError, InputWarning, MapsError
@@ -29,11 +20,11 @@ INSIDE = np.stack(np.meshgrid(*[np.linspace(0.02, 0.98, 9)] * 3), axis=-1).resha
 
 
 def read_in(path, space, bits=8, display=INSIDE):
-    save_in(path, np.repeat(np.repeat(display, 8, axis=0), 8, axis=1), space, bits)
+    colour_files.save_in(path, np.repeat(np.repeat(display, 8, axis=0), 8, axis=1), space, bits)
     return picture(path, CaptureError)
 
 
-@pytest.mark.parametrize("space", SPACES)
+@pytest.mark.parametrize("space", colour_files.SPACES)
 @pytest.mark.parametrize(("name", "bits", "steps"), [("a.png", 8, 1.5), ("a.png", 16, 0.1), ("a.tif", 8, 1.5),
                                                      ("a.tif", 16, 0.1), ("a.webp", 8, 1.5)])
 def test_a_picture_is_read_as_the_one_in_srgb(tmp_path, space, name, bits, steps):
@@ -45,14 +36,15 @@ def test_a_picture_is_read_as_the_one_in_srgb(tmp_path, space, name, bits, steps
     assert bits == 8 or error.max() < 1 / 255
 
 
-@pytest.mark.parametrize("space", SPACES)
+@pytest.mark.parametrize("space", colour_files.SPACES)
 @pytest.mark.parametrize("name", ["a.jpg", "a.heic"])
 def test_lossy_pictures_too(tmp_path, space, name):
     if name == "a.heic":
         pytest.importorskip("pillow_heif", reason='needs pip install "mitsvbrdf[heic]"')
     error = read_in(tmp_path / name, space).pixels[4::8, 4::8] / 65535 - INSIDE
     assert np.abs(np.median(error)) < 1 / 255 and np.median(np.abs(error)) < 2 / 255
-    wrong = np.median(np.abs(encoded_in(INSIDE, space) - INSIDE))  # what is read of it without its profile
+    # what is read of it without its profile
+    wrong = np.median(np.abs(colour_files.encoded_in(INSIDE, space) - INSIDE))
     assert wrong > 4 / 255
 
 
@@ -65,7 +57,7 @@ def test_colours_outside_are_counted(tmp_path):
 def test_pictures_in_srgb_keep_their_bits(tmp_path):
     pixels = np.random.default_rng(0).integers(0, 255, (9, 9, 3), np.uint8)
     for profile in (ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes(),
-                    imagecodecs.cms_profile("srgb"), icc_of(SRGB, None)):
+                    imagecodecs.cms_profile("srgb"), colour_files.icc_of(colour_files.SRGB, None)):
         Image.fromarray(pixels).save(tmp_path / "a.png", icc_profile=profile)
         assert np.array_equal(picture(tmp_path / "a.png", CaptureError).pixels, pixels)
         assert header(tmp_path / "a.png", CaptureError).profile is None
@@ -74,7 +66,7 @@ def test_pictures_in_srgb_keep_their_bits(tmp_path):
 def png_with(path, kind, content, colour=(184, 56, 42)):
     data = io.BytesIO()
     Image.new("RGB", (4, 4), colour).save(data, "PNG")
-    path.write_bytes(with_chunk(data.getvalue(), kind, content))
+    path.write_bytes(colour_files.with_chunk(data.getvalue(), kind, content))
     return path
 
 
@@ -152,27 +144,28 @@ def test_what_cannot_be_used_is_named(tmp_path, points, name):
 
 
 def test_numbers_that_are_no_colours_stay(tmp_path):
-    save_in(tmp_path / "a.png", INSIDE, "Adobe RGB", 8)
+    colour_files.save_in(tmp_path / "a.png", INSIDE, "Adobe RGB", 8)
     stored = np.asarray(Image.open(tmp_path / "a.png")) / np.float32(255)
     assert np.array_equal(read_image(tmp_path / "a.png", MapsError, data=True).numpy(), stored)
 
 
-@pytest.mark.parametrize("space", [*SPACES, "ACES"])
+@pytest.mark.parametrize("space", [*colour_files.SPACES, "ACES"])
 def test_chromaticities_of_an_exr(tmp_path, space):
     linear = INSIDE.astype(np.float32)
-    corners = ACES if space == "ACES" else SPACES[space][0]
-    with_chromaticities(tmp_path / "a.exr", encoded_in(linear, corners, curve=False), corners)
+    corners = colour_files.ACES if space == "ACES" else colour_files.SPACES[space][0]
+    stored = colour_files.encoded_in(linear, corners, curve=False)
+    colour_files.with_chromaticities(tmp_path / "a.exr", stored, corners)
     assert read_image(tmp_path / "a.exr", MapsError).numpy() == pytest.approx(linear, abs=2e-3)
     raw = read_image(tmp_path / "a.exr", MapsError, data=True)
     assert np.abs(raw.numpy() - linear).max() > 0.02
 
 
 def test_an_exr_outside_of_rec709_is_told(tmp_path):
-    corners = SPACES["Display P3"][0]
-    with_chromaticities(tmp_path / "a.exr", np.full((4, 4, 3), (1, 0, 0), np.float32), corners)
+    corners = colour_files.SPACES["Display P3"][0]
+    colour_files.with_chromaticities(tmp_path / "a.exr", np.full((4, 4, 3), (1, 0, 0), np.float32), corners)
     with pytest.warns(InputWarning, match="a.exr: 100.00% of the pixels"):
         assert read_image(tmp_path / "a.exr", MapsError)[0, 0].tolist() == [1, 0, 0]
-    with_chromaticities(tmp_path / "b.exr", np.ones((4, 4, 3), np.float32), (0.3,) * 8)
+    colour_files.with_chromaticities(tmp_path / "b.exr", np.ones((4, 4, 3), np.float32), (0.3,) * 8)
     with pytest.raises(MapsError, match="b.exr.*span no colours"):
         read_image(tmp_path / "b.exr", MapsError)
     assert OpenEXR.File(str(tmp_path / "a.exr")).channels()["RGB"].pixels.shape == (4, 4, 3)

@@ -10,13 +10,7 @@ import torch
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.export.mitsuba import SCENES
 from mitsvbrdf.io import images
-from mitsvbrdf.relight.environment import (
-    LUMINANCE,
-    make_environment,
-    read_environment,
-    studio,
-    white_luminance,
-)
+from mitsvbrdf.relight import environment
 
 
 @pytest.mark.parametrize("suffix", ["studio", "sunsky", ".exr", ".hdr"])
@@ -28,7 +22,7 @@ def test_white_that_faces_up_has_luminance_0_8(mi, suffix, tmp_path):
         image[2, 5] = 300
         write_picture(image, name)
     scene = mi.load_dict({
-        "type": "scene", "integrator": {"type": "direct"}, **make_environment(mi, name).emitters,
+        "type": "scene", "integrator": {"type": "direct"}, **environment.make_environment(mi, name).emitters,
         "sensor": {"type": "perspective", "to_world": mi.ScalarTransform4f().look_at([0, 0, 1], [0, 0, 0],
                                                                                      [0, 1, 0]),
                    "film": {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}},
@@ -36,7 +30,7 @@ def test_white_that_faces_up_has_luminance_0_8(mi, suffix, tmp_path):
                   "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}}})
     white = torch.from_numpy(np.array(mi.render(scene, spp=16384)))[..., :3].mean(dim=(0, 1))
     # 262,144 samples: noise below 0.2 %; the sunsky file's scale has four digits.
-    assert float(white.double() @ LUMINANCE) == pytest.approx(0.8, rel=0.01)
+    assert float(white.double() @ environment.LUMINANCE) == pytest.approx(0.8, rel=0.01)
 
 
 def write_picture(image, name):
@@ -53,19 +47,19 @@ def test_a_radiance_file_is_read_in_the_order_red_green_blue(tmp_path):
     path = tmp_path / "sky.hdr"
     path.write_bytes(
         b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 4 +X 2\n" + bytes(v for pixel in pixels for v in pixel))
-    image = read_environment(path)
+    image = environment.read_environment(path)
     assert image[0].tolist() == [[1, 0.5, 0.25], [0, 0, 200 / 256]] and image[3].tolist() == [[2, 0, 0]] * 2
 
 
 def test_white_luminance_of_a_half_lit_sky():
     # Closed form: the upper hemisphere at 1 gives 1; the cap within 60 degrees of the zenith gives sin^2 60 =
     # 3/4.
-    assert white_luminance(torch.ones(5, 4, 3)) == pytest.approx(1, rel=1e-5)
+    assert environment.white_luminance(torch.ones(5, 4, 3)) == pytest.approx(1, rel=1e-5)
     theta = torch.linspace(0, math.pi, 1801)
     cap = (theta < math.pi / 3).double()[:, None, None].expand(-1, 2, 3)
-    assert white_luminance(cap) == pytest.approx(0.75, rel=2e-3)  # one row of 1800 is the edge
+    assert environment.white_luminance(cap) == pytest.approx(0.75, rel=2e-3)  # one row of 1800 is the edge
     # a row's sum is no float32
-    assert white_luminance(torch.full((5, 4, 3), 1e38)) == pytest.approx(1e38, rel=1e-5)
+    assert environment.white_luminance(torch.full((5, 4, 3), 1e38)) == pytest.approx(1e38, rel=1e-5)
 
 
 def test_the_middle_of_an_environment_is_ahead_and_its_right_is_right(mi, tmp_path):
@@ -73,7 +67,7 @@ def test_the_middle_of_an_environment_is_ahead_and_its_right_is_right(mi, tmp_pa
     # red right, green left, blue below
     image[:32, 64:, 0], image[:32, :64, 1], image[32:, :, 2] = 1.0, 1.0, 1.0
     images.write_exr(tmp_path / "sky.exr", image)
-    around = make_environment(mi, str(tmp_path / "sky.exr"))
+    around = environment.make_environment(mi, str(tmp_path / "sky.exr"))
     scene = mi.load_dict({
         "type": "scene", "integrator": {"type": "path"}, **around.emitters,
         "sensor": {"type": "perspective", "fov": 80,
@@ -103,21 +97,21 @@ def test_environments_that_cannot_be_used_are_refused(mi, what, change, tmp_path
         change(image)
         images.write_exr(path, image)
     with pytest.raises(ConfigError, match=what):
-        make_environment(mi, str(path))
+        environment.make_environment(mi, str(path))
 
 
 def test_files_that_are_no_environment_are_refused(mi, tmp_path):
     for name in ("sky.exr", "sky.hdr"):
         (tmp_path / name).write_bytes(b"no picture")
         with pytest.raises(ConfigError, match="readable"):
-            make_environment(mi, str(tmp_path / name))
+            environment.make_environment(mi, str(tmp_path / name))
     for name in ("sky.png", "stuido"):
         with pytest.raises(ConfigError, match="studio"):
-            make_environment(mi, name)
+            environment.make_environment(mi, name)
 
 
 def test_the_studio_is_lit_from_three_sides():
-    image = studio(64)
+    image = environment.studio(64)
     assert image.shape == (64, 128, 3) and bool((image > 0).all())
     bright = (image.amax(dim=-1) > 2).long()
     assert int(bright.sum()) < 0.1 * bright.numel()
@@ -131,7 +125,7 @@ def test_the_studio_is_lit_from_three_sides():
 def test_a_picture_of_an_impossible_size_is_refused_from_its_header(size, word, tmp_path):
     path = tmp_path / "sky.hdr"
     cv2.imwrite(str(path), np.ones((4, 4, 3), np.float32))
-    assert read_environment(path).shape == (4, 4, 3)
+    assert environment.read_environment(path).shape == (4, 4, 3)
     path.write_bytes(path.read_bytes().replace(b"-Y 4 +X 4", size.encode()))
     with pytest.raises(ConfigError, match=word):
-        read_environment(path)
+        environment.read_environment(path)

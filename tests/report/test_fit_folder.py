@@ -111,17 +111,6 @@ def test_photos_are_never_written_over_those_of_the_capture(copy, photos, tmp_pa
     assert "with calibration" in capsys.readouterr().err
 
 
-def test_a_second_fit_in_the_same_folder_shows_nothing_of_the_first(tmp_path):
-    shots = photos_of(make_material("tiles", 8))
-    for fix, others in (((), shots.pick([5])), (("roughness=0.5",), None)):
-        write_fit(fit_svbrdf(shots.pick([0, 1]), ANALYTIC, DirectConfig(iterations=1, fix=fix)),
-                  shots.pick([0, 1]), tmp_path, held_out=others, overwrite=True)
-        page = Page(tmp_path / "report.html")
-        assert ("held out" in page.text) == ("Roughness: standard deviation" in page.pictures) == (
-            not fix)
-    assert json.loads((tmp_path / "report.json").read_text())["held_out_rmse"] is None
-
-
 def test_a_fit_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     shots, out = photos_of(make_material("tiles", 8)), tmp_path / "out"
     found, fixed = (fit_svbrdf(shots, ANALYTIC, DirectConfig(iterations=1, fix=fix))
