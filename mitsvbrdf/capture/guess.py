@@ -92,19 +92,24 @@ def _robust(capture: Capture) -> Tensor:
     most = over(torch.tensor(math.pi), irradiance)  # and of a clipped pixel
 
     size = min(capture.resolution, FIT_SIZE)
-    texels = [resized(x, size) for x in (albedo.mean(-1, True), most.mean(-1, True), light, half)]
+    # photos that show each texel; all where none does
+    shows = (torch.ones_like(capture.photos[..., 0], dtype=torch.bool) if capture.measured is None
+             else capture.measured | ~capture.measured.any(dim=0))[..., None]
+    known = (resized((~shows).float(), size) == 0).float()
+    texels = [known, *(resized(x, size) for x in (albedo.mean(-1, True), most.mean(-1, True), light, half))]
     texels = [x.flatten(1, 2).transpose(0, 1).squeeze(-1).contiguous() for x in texels]  # M x N (x 3)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # more save at most a third on such small chunks, or cost 50 times the time
     try:
         prior = _typical(*(x[:: -(-len(x) // CHUNK)] for x in texels))
-        fitted = [_shade(_fit(prior, *part), *part[2:]) for part in zip(*(x.split(CHUNK) for x in texels))]
+        fitted = [_shade(_fit(prior, *part), *part[3:]) for part in zip(*(x.split(CHUNK) for x in texels))]
     finally:
         torch.set_num_threads(threads)
     shading, lobe = (resized(torch.cat(x).T.reshape(-1, size, size, 1), capture.resolution)
                      for x in zip(*fitted))
 
-    seen = (capture.photos < NEARLY_CLIPPED) | (capture.photos == capture.photos.amin(dim=0))
+    least = torch.where(shows, capture.photos, torch.inf).amin(dim=0)
+    seen = shows & ((capture.photos < NEARLY_CLIPPED) | (capture.photos == least))
     diffuse = torch.where(seen, (albedo - lobe) / shading, torch.nan)
     return diffuse.nanmedian(dim=0).values.clamp(0, 1)
 
@@ -125,14 +130,14 @@ def _shade(texels: Tensor, light: Tensor, half: Tensor) -> tuple[Tensor, Tensor]
     return shading, surface.log_f0.exp() * a2 / (a2 * c2 + 1 - c2) ** 2 * smith**2 / 4 * shading
 
 
-def _errors(texels: Tensor, prior: Tensor, albedo: Tensor, most: Tensor, light: Tensor,
+def _errors(texels: Tensor, prior: Tensor, known: Tensor, albedo: Tensor, most: Tensor, light: Tensor,
             half: Tensor) -> Tensor:
-    """M x (N + 4) errors in standard deviations: of about display values, and of the prior."""
+    """M x (N + 4) errors in standard deviations: of about display values known (1, else 0), and the prior."""
     shading, lobe = _shade(texels, light, half)
     parts = TEXEL.unpack(texels)
     said = torch.minimum(parts.log_albedo[:, None].exp() * shading + lobe, most)
     data = (said + 1e-4) ** 0.4 - (albedo + 1e-4) ** 0.4
-    return torch.cat((data / NOISE, (parts.surface - prior) / _surface(**PRIOR_SD)), dim=1)
+    return torch.cat((known * data / NOISE, (parts.surface - prior) / _surface(**PRIOR_SD)), dim=1)
 
 
 def _typical(*seen: Tensor) -> Tensor:
@@ -156,7 +161,8 @@ def _surface(**parts: ArrayLike) -> Tensor:
 
 def _fit(prior: Tensor, *seen: Tensor) -> Tensor:
     """M x 5 fitted texels by Levenberg-Marquardt with finite differences, from the best of some tilts."""
-    low = (seen[0].amin(dim=1, keepdim=True) / 2).clamp_min(1e-4).log()
+    least = torch.where(seen[0] > 0, seen[1], torch.inf).amin(dim=1, keepdim=True)
+    low = (least / 2).clamp(1e-4, 1e4).log()
     starts = [torch.cat(((prior + _surface(tilt=(x, y))).expand(len(low), -1), low), dim=1)
               for x in TILTS for y in TILTS]
     costs = torch.stack([_errors(start, prior, *seen).square().sum(dim=1) for start in starts])

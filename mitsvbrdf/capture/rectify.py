@@ -104,7 +104,7 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
     return out
 
 
-def filled(pictures: Sequence[np.ndarray]) -> tuple[torch.Tensor, torch.Tensor | None]:
+def filled(pictures: Sequence[np.ndarray], warn: bool = True) -> tuple[torch.Tensor, torch.Tensor | None]:
     """Photos (R x R x 3), with the mean of the others where one is NaN, else the nearest: N x R x R x 3.
 
     With it comes where they are measured, N x R x R; None: everywhere.
@@ -116,7 +116,7 @@ def filled(pictures: Sequence[np.ndarray]) -> tuple[torch.Tensor, torch.Tensor |
         mean = np.where(known, stack, 0).sum(axis=0) / known.sum(axis=0).clip(1)
         stack = np.where(known, stack, mean)
         unseen = ~known.any(axis=(0, 3))
-        if unseen.any():
+        if warn and unseen.any():
             warnings.warn(f"{unseen.mean():.1%} of the patch is masked in all photos; maps are made up "
                           "there", InputWarning, stacklevel=2)
         if unseen.any() and not unseen.all():

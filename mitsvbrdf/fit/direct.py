@@ -39,6 +39,7 @@ class Direct(Method[DirectConfig]):
         with profiled("renderer"):
             rendered = self.renderer.render(svbrdf, self.views)
             switch_at("renderer, backward", rendered)
+            rendered = self.compared(rendered)
         with profiled("losses"):
             terms = {"photometric": losses.photometric(rendered, self.capture.photos, self.capture.transfer)}
             if "smooth" not in self.unused:

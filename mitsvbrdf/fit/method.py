@@ -33,6 +33,12 @@ class Method(ABC, Generic[Config]):
         self.views, self.fixed, self.unused = task.capture.views, task.fixed, task.unused
         self.fits_offset = task.why_no_flash_offset is None
 
+    def compared(self, rendered: Tensor) -> Tensor:
+        """Renderings (linear, N x R x R x 3) with the photos where these are masked: no error is there."""
+        measured = self.capture.measured
+        return rendered if measured is None else torch.where(measured[..., None], rendered,
+                                                             self.capture.linear.to(rendered))
+
     @abstractmethod
     def step(self, progress: float) -> dict[str, float]:
         """One iteration at this share (0 to 1) of the run; returns the unweighted losses before it."""

@@ -7,11 +7,13 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Generic, Literal, TypeVar
 
+import torch
 from torch import Tensor
 
 from ..calibrate.estimate import EstimatedViews, self_calibrated, why_not
 from ..calibrate.readings import doubts
 from ..capture import Capture, guess_diffuse
+from ..capture.rectify import filled
 from ..render import Renderer
 from . import losses
 from .config import FitConfig
@@ -94,7 +96,13 @@ class FitTask(Generic[Config]):
 
 
 def fit_task(capture: Capture, renderer: Renderer, config: Config) -> FitTask[Config]:
-    """The task of a fit, with views estimated if the capture has none and the method moves them."""
+    """The task of a fit, with views estimated if the capture has none and the method moves them.
+
+    Whatever a mask hides is replaced by the mean of the photos that show it: the one input of networks.
+    """
+    if (measured := capture.measured) is not None:
+        shown = torch.where(measured[..., None], capture.photos, torch.nan)
+        capture = replace(capture, photos=filled(list(shown.numpy()), warn=False)[0])
     capture, estimated = (capture, None) if config.holds_views else self_calibrated(capture)
     if found := doubts(capture):
         capture = replace(capture, notes=(*capture.notes, *found.said))

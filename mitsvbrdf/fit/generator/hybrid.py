@@ -74,6 +74,7 @@ class Hybrid(Method[HybridConfig]):
         with profiled("renderer"):
             rendered = self.renderer.render(svbrdf, views)
             switch_at("renderer, backward", rendered)
+            rendered = self.compared(rendered)
         logged: dict[str, float] = {}
 
         def adversarial() -> Tensor:

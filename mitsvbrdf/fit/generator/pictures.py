@@ -25,7 +25,8 @@ class Pictures:
             cosine is from 1, and its sine.
         index: numbers of the K photos in the capture.
         weights: P x K, how much of each photo is in each picture, in linear light.
-        clipped: K x R x R x 3, where each photo is clipped; None clips renderings everywhere.
+        limits: least and greatest radiance of renderings, K x R x R x 3 each: 1 at most where each photo is
+            clipped, and exactly the photo's where that is masked.
         window: the crop of the photos that is shown.
         transfer: of the photos.
     """
@@ -34,15 +35,15 @@ class Pictures:
     angles: Tensor
     index: Tensor
     weights: Tensor
-    clipped: Tensor | None
+    limits: tuple[Tensor, Tensor]
     window: Window
     transfer: color.Transfer
 
     def of(self, rendered: Tensor) -> Tensor:
         """The same pictures of renderings of the views ``index``.
 
-        Each view is clipped as its photo was before it is blended, so that photos and renderings show the
-        same physics.
+        Each view is clipped and masked as its photo was before it is blended, so that photos and renderings
+        show the same physics (Bora 2018, AmbientGAN).
 
         Args:
             rendered: linear radiance K x R x R x 3, unclamped.
@@ -51,9 +52,7 @@ class Pictures:
             P x 3 x R x R in display values, above 1 where a rendering is too bright and its photo is not
             clipped.
         """
-        seen = (rendered.clamp(0, 1) if self.clipped is None
-                else torch.where(self.clipped, rendered.clamp_max(1), rendered))
-        return _displayed(seen, self.weights, self.transfer)
+        return _displayed(rendered.clamp(*self.limits), self.weights, self.transfer)
 
 
 class PictureSource:
@@ -70,7 +69,12 @@ class PictureSource:
         self.linear = color.decode(capture.photos, capture.transfer)
         half = geometry(capture.views, capture.resolution)[1]
         self.angles = torch.stack((10 * (1 - half[..., 2]), half[..., :2].norm(dim=-1)), dim=1)
-        self.clipped = capture.photos >= CLIPPED if clipping else None
+        highest = torch.where(capture.photos < CLIPPED, torch.inf if clipping else 1.0, 1.0)
+        least = torch.zeros_like(highest)
+        if capture.measured is not None:
+            least, highest = (torch.where(capture.measured[..., None], limit, self.linear)
+                              for limit in (least, highest))
+        self.limits = least, highest
 
     def draw(self, count: int, random: torch.Generator) -> Pictures:
         """With equal chance one photo, or two blended with a random weight, ``count`` times (III.F)."""
@@ -96,8 +100,8 @@ class PictureSource:
         rows, columns = slice(top, top + side), slice(left, left + side)
         angles = torch.einsum("pk,kcij->pcij", weights, self.angles[index][..., rows, columns])
         shown = _displayed(self.linear[index, rows, columns], weights, self.capture.transfer)
-        clipped = None if self.clipped is None else self.clipped[index, rows, columns]
-        return Pictures(shown, angles, index, weights, clipped, window, self.capture.transfer)
+        least, greatest = (limit[index, rows, columns] for limit in self.limits)
+        return Pictures(shown, angles, index, weights, (least, greatest), window, self.capture.transfer)
 
     def _window(self, random: torch.Generator) -> Window:
         whole = self.capture.resolution
