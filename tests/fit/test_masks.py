@@ -11,6 +11,7 @@ from mitsvbrdf.capture import guess_diffuse
 from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf
 from mitsvbrdf.fit.checkpoint import fingerprints
 from mitsvbrdf.fit.confidence import deviations
+from mitsvbrdf.fit.direct import Direct
 from mitsvbrdf.fit.generator.hybrid import Hybrid
 from mitsvbrdf.fit.generator.pictures import PictureSource
 from mitsvbrdf.fit.hierarchical import Hierarchical
@@ -81,6 +82,19 @@ def test_maps_of_the_other_methods(shots, config):
                                for each in (*shots, replace(shots[0], measured=None)))
     assert all(torch.equal(first[name], second[name]) for name in first.maps)
     assert not any(torch.equal(first[name], unmasked[name]) for name in ("diffuse", "roughness"))
+
+
+@pytest.mark.parametrize("kind, config", [(Direct, DirectConfig()), (Hybrid, HybridConfig(adversarial=0))])
+def test_a_step_whatever_a_mask_hides(shots, kind, config):
+    """From one start, and with one input of the network."""
+    methods = [kind(FitTask(each, ANALYTIC, config, torch.full((SIDE, SIDE, 3), 0.3))) for each in shots]
+    methods[1].condition = getattr(methods[0], "condition", None)
+    start = methods[0].estimate()[0]
+    for method in methods:
+        method.step(0.5)
+    first, second = (method.estimate()[0] for method in methods)
+    assert all(torch.equal(first[name], second[name]) for name in first.maps)
+    assert not torch.equal(first["diffuse"], start["diffuse"])
 
 
 def test_the_truth_has_no_error_and_a_discriminator_sees_no_difference(made, shots):
