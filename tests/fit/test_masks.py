@@ -20,7 +20,6 @@ from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.rerender import rerender
 
 SIDE = 16
-ROUNDED = 2.2 / 2 / 255  # of photos of 8 bits: the steepest slope of gamma 2.2 times half a step
 
 
 @pytest.fixture(scope="module")
@@ -90,26 +89,19 @@ def test_a_step_whatever_a_mask_hides(shots, kind, config):
     methods = [kind(FitTask(each, ANALYTIC, config, torch.full((SIDE, SIDE, 3), 0.3))) for each in shots]
     methods[1].condition = getattr(methods[0], "condition", None)
     start = methods[0].estimate()[0]
-    for method in methods:
-        method.step(0.5)
-    first, second = (method.estimate()[0] for method in methods)
+    first, second = (method.step(0.5) and method.estimate()[0] for method in methods)
     assert all(torch.equal(first[name], second[name]) for name in first.maps)
     assert not torch.equal(first["diffuse"], start["diffuse"])
 
 
-def test_the_truth_has_no_error_and_a_discriminator_sees_no_difference(made, shots):
-    """The same photos without a mask have both."""
-    guess, masked = torch.full((SIDE, SIDE, 3), 0.3), ~shots[0].measured
-    for capture, hidden in (shots[1], True), (replace(shots[1], measured=None), False):
-        method = Hybrid(FitTask(capture, ANALYTIC, HybridConfig(width=8, adversarial=0.1), guess))
-        rendered = ANALYTIC.render(made, capture.views)
-        error = (method.compared(rendered).clamp(0, 1) - capture.linear).abs()
-        assert (error[masked].max() < 1e-6) == hidden and error[~masked].max() < ROUNDED
-        source = PictureSource(capture, clipping=True)
-        for photo, some in enumerate(masked.any(dim=(1, 2)).tolist()):
-            pictures = source.whole(photo)
-            beside = (pictures.of(rendered[[photo]]) - pictures.shown).abs()
-            assert (beside.max() < ROUNDED) == (hidden or not some)
+def test_a_discriminator_sees_no_difference_from_the_truth(made, shots):
+    """The same photos without a mask have one."""
+    rendered = ANALYTIC.render(made, shots[1].views)
+    for capture, masked in (shots[1], True), (replace(shots[1], measured=None), False):
+        for photo, some in enumerate((~shots[1].measured).any(dim=(1, 2)).tolist()):
+            pictures = PictureSource(capture, clipping=True).whole(photo)
+            beside = (pictures.of(rendered[[photo]]) - pictures.shown).abs().max()
+            assert (beside < 0.51 / 255) == (masked or not some)  # photos of 8 bits
 
 
 def test_a_guess_without_a_photo_that_is_masked_whole(shots):
