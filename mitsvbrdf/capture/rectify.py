@@ -26,12 +26,14 @@ class Rectified:
     Args:
         pictures: the patch alone, R x R x 3 float32 in [0, 1] with the lens's vignetting; NaN beyond a
             photo's edges and where its alpha masks it.
+        overlap: share of the patch within a photo, masked or not.
         small: whole photos, at most 1024 pixels long, as stored.
         outside: share of a photo's pixels whose colours lay outside of sRGB.
         notes: what a user should know.
     """
 
     pictures: dict[str, np.ndarray]
+    overlap: dict[str, float]
     small: dict[str, np.ndarray]
     outside: dict[str, float]
     notes: tuple[str, ...]
@@ -45,15 +47,18 @@ class Rectified:
         sides = np.nan_to_num(np.linalg.norm(np.roll(at, -1, axis=1) - at, axis=2))
         shown = int(np.median(sides.min(axis=1)))  # pixels along the patch's shortest side
         side = max(LEAST_SIDE, min(resolution, shown))
-        pictures, small, outside = {}, {}, {}
+        pictures, overlap, small, outside = {}, {}, {}, {}
         for n, photo in enumerate(photos):
             report(f"rectifying {photo.name}", n / len(photos))
             found = photo.read()
-            pictures[photo.name] = rectified(found.pixels, rig.lens, rig.poses[photo.name], rig.size, side,
-                                             found.opaque)
+            seen = rectified(found.pixels, rig.lens, rig.poses[photo.name], rig.size, side)
+            overlap[photo.name] = float(np.isfinite(seen).all(axis=-1).mean())
+            if found.opaque is not None:
+                seen = rectified(found.pixels, rig.lens, rig.poses[photo.name], rig.size, side, found.opaque)
+            pictures[photo.name] = seen
             small[photo.name], outside[photo.name] = reduced(found.pixels, LONG_SIDE), found.outside
         few = (f"the photos show the patch in {shown} pixels a side, so it is not enlarged to {resolution}",)
-        return cls(pictures, small, outside, few if side < resolution else ())
+        return cls(pictures, overlap, small, outside, few if side < resolution else ())
 
 
 def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolution: int,

@@ -120,8 +120,8 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
         transfer, overruled = used_transfer(transfer, colours)
         notes += overruled
         lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
-        found = judge(lit.pictures, lit.views, transfer, lit.overlap,
-                      lit.shading.evenness if lit.shading else None, fired)
+        found = judge(lit.pictures, lit.views, transfer, rectified.overlap,
+                      lit.shading.evenness if lit.shading else None, fired, lit.measured)
         qualities |= found.qualities
         rejected |= rig.rejected | found.rejected
         kept = [photo for photo in kept if photo.name not in rejected]

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 from helpers import ROOT
-from helpers.made_photos import LENS, POWER, SHEET, ground, poses, stored, taken
+from helpers.made_photos import LENS, POWER, SHEET, ground, optics, poses, stored, taken
 from helpers.rigs import lens_and_poses
 from helpers.tables import words_at_the_right
 from PIL import Image
@@ -65,7 +65,7 @@ def test_right_photos_are_used_and_wrong_ones_named_with_the_reason(made):
     assert [name for name, row in rows.items() if row["used"]] == [f"IMG_{i}.jpg" for i in range(7)]
     expected = {"blurred": "blurred: 0.", "finger": "covered: ", "dark": "without flash .says its EXIF",
                 "room": "does not fall off", "two": "the same photo as IMG_1.jpg", "other": "of 16 tags seen",
-                "aside": "partly outside or masked: it shows only 7.%",
+                "aside": "partly outside: it shows only 7.%",
                 "size": "1000 x 900 pixels, the others have 1200 x 900: cropped",
                 "turned": "900 x 1200 pixels.*: its pixels were turned when it was stored"}
     for name, word in expected.items():
@@ -203,6 +203,22 @@ def test_of_photos_rectified_to_their_sheet_the_patch_is_cut_out(truth, tmp_path
         stored(path, taken(ground(), LENS, truth["IMG_1.jpg"]))
     with pytest.raises(OnePlace, match="tripod"):
         make_capture([Photo.open(path) for path in still], 18.0)
+
+
+def test_of_masked_photos_the_rest_is_used(made, truth, tmp_path):
+    """Of the patch a disk, half of it, remains in each; of one photo nothing."""
+    for name, pose in truth.items():
+        ray = optics(LENS)[0] @ pose.rotation
+        at = (pose.position - ray * (pose.position[2] / ray[:, 2:]))[:, :2] / (0.64 * 18)
+        shown = (np.hypot(*at.T) < 0.4 * (name != "IMG_2.jpg")) | (np.abs(at).max(axis=1) > 0.52)
+        opened, alpha = Image.open(made[0] / name), np.uint8(255 * shown).reshape(LENS.size[::-1])
+        Image.fromarray(np.dstack((opened, alpha))).save(tmp_path / f"{name}.png", exif=opened.getexif())
+    found = make_capture([Photo.open(path) for path in photos_in(tmp_path)], 18.0, resolution=256)
+    assert [(name, why[:7]) for name, why in found.rig.rejected.items()] == [("IMG_2.jpg.png", "masked:")]
+    radius = np.hypot(*((np.mgrid[:256, :256] + 0.5) / 256 - 0.5))
+    assert (found.capture.measured.numpy() == (radius < 0.4)).mean(axis=(1, 2)).min() > 0.98  # the rim
+    for photo, same in zip(found.capture.photos, read_capture(made[1]).pick([0, 1, 3, 4, 5, 6]).photos):
+        assert (photo - same)[radius < 0.39].abs().mean() < 0.004  # measured 0.0012
 
 
 def test_too_few_are_left(made):

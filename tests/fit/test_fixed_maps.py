@@ -10,15 +10,7 @@ from helpers.variants import mostly_slow
 from mitsvbrdf import cli, color
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import ConfigError, MapsError
-from mitsvbrdf.fit import (
-    DirectConfig,
-    FitTask,
-    GanConfig,
-    HybridConfig,
-    fit_svbrdf,
-    losses,
-    make_method,
-)
+from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HybridConfig, fit_svbrdf, losses, make_method
 from mitsvbrdf.fit.fixed_maps import fixed_maps
 from mitsvbrdf.fit.omitted import omitted_by
 from mitsvbrdf.io import images

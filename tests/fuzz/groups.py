@@ -264,8 +264,7 @@ def options(known: dict[str, tuple[str, ...]]) -> Drawn[Case]:
     value = st.one_of(st.sampled_from(WORDS), st.sampled_from(WORDS), text)
 
     def of(call: str) -> Drawn[Case]:
-        # its OUT is the library
-        option = st.sampled_from(known[call.split()[0]])
+        option = st.sampled_from(known[call.split()[0]])  # its OUT is the library
         pair = st.tuples(option, value)
         several = st.lists(st.one_of(pair, pair, st.tuples(option)), min_size=1, max_size=2)
         return st.builds(Case, group=st.just("option"), parts=st.just(tuple(parts.split())),

@@ -153,6 +153,5 @@ def test_fit_prints_and_keeps_it_when_asked(tmp_path, capsys):
     assert cli.main([*fit, "--iterations", "4", "--profile", "--overwrite"]) == 0
     record, said = json.loads((out / "fit.json").read_text())["profile"], capsys.readouterr().out
     assert {"renderer", "losses"} < set(record) and all(name in said for name in record)
-    # nothing left to do: no step
-    assert cli.main([*fit, "--iterations", "4", "--profile", "--resume"]) == 0
+    assert cli.main([*fit, "--iterations", "4", "--profile", "--resume"]) == 0  # nothing left to do: no step
     assert "losses" not in json.loads((out / "fit.json").read_text())["profile"]

@@ -284,5 +284,4 @@ def test_a_manifest_of_an_earlier_version_is_understood(tmp_path):
 
 
 def test_relight_is_known_by_its_record():
-    # tests/export/test_command.py has the same of export
-    assert manifest.DERIVED["relight"] == frames.RECORD
+    assert manifest.DERIVED["relight"] == frames.RECORD  # tests/export/test_command.py has the same of export

@@ -154,8 +154,7 @@ def test_made_material_with_global_structure(name):
 
 
 def test_mitsubas_own_integrators_are_parsed_once_a_variant_and_stay_those_of_the_program():
-    # Dr.Jit counts what it parses, and warns at 1000: "called by your program".
-    import drjit.ast
+    import drjit.ast  # Dr.Jit counts what it parses, and warns at 1000: "called by your program".
 
     with using_mitsuba() as mi:
         renderer, material = make_renderer("mitsuba"), random_material("roughconductor", 8)

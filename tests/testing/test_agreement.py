@@ -54,8 +54,7 @@ def test_a_wrong_gradient_is_named(report):
     text = Path(lines[2].removeprefix("  page: ")).read_text()
     assert text.count("wrong: ") == 6 and text.count("analytic: ") == 6  # all figures of both
     assert text.count('class="text bad"') == 1
-    # two views and four gradients, three pictures each
-    assert text.count("data:image/png") == 2 * 3 + 4 * 3
+    assert text.count("data:image/png") == 2 * 3 + 4 * 3  # two views and four gradients, three pictures each
     assert not re.search(r"""(src|href)=["'](?!data:)""", text)  # self-contained
 
 

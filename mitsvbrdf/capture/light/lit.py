@@ -34,7 +34,6 @@ class Lit:
     # N x R x R x 3 display values without vignetting; what lies beyond a photo's edges is filled
     pictures: torch.Tensor
     measured: torch.Tensor | None  # N x R x R, False where it is; None: nowhere
-    overlap: dict[str, float]  # share of the patch that a photo shows, by name
     views: Views  # N
     notes: tuple[str, ...]  # what a user should know
 
@@ -48,9 +47,7 @@ class Lit:
         if shading:
             rig = replace(rig, lens=shading.lens, poses=shading.poses)
         pictures = [without_vignetting(rectified.pictures[name], rig, name, transfer) for name in given]
-        overlap = {name: float(np.isfinite(picture).all(axis=-1).mean())
-                   for name, picture in zip(given, pictures)}
-        return cls(rig, shading, *filled(pictures), overlap, _views(rig, shading), notes)
+        return cls(rig, shading, *filled(pictures), _views(rig, shading), notes)
 
 
 def _shading(rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Paper | None,

@@ -36,13 +36,14 @@ class PhotoQuality:
 
     Args:
         name: of the file.
-        overlap: share of the patch it shows.
+        overlap: share of the patch within the photo, masked or not.
         clipped: share of its texels with a channel at the limit.
         sharpness: how much detail it has in the direction that has least, relative to the median photo.
         stops: how much brighter than the others it shows the same texels, as powers of two.
         unlike: share of the patch, in one piece, that is of a colour or a darkness that no other photo shows.
         unlike_detail: the same, of texels that lack the detail that the others agree on.
         evenness: 0 where light falls off as a flash's, 1 where it is even; None where that was not asked.
+        masked: share of the patch behind its mask or outside; the other numbers are of the rest.
     """
 
     name: str
@@ -53,40 +54,48 @@ class PhotoQuality:
     unlike: float
     unlike_detail: float
     evenness: float | None = None
+    masked: float = 0.0
 
 
 def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, overlap: Mapping[str, float],
-                    evenness: Mapping[str, float] | None = None) -> list[PhotoQuality]:
+                    evenness: Mapping[str, float] | None = None, measured: Tensor | None = None
+                    ) -> list[PhotoQuality]:
     """Numbers of each photo beside the others.
 
     Args:
         photos: N x R x R x 3 display values in [0, 1], rectified; N >= 3 for the comparison to mean anything.
         views: theirs; a light's place and power need be no better than roughly right.
         transfer: of the photos.
-        overlap: share of the patch that each photo shows, by name, in the order of the photos.
+        overlap: share of the patch within each photo, by name, in the order of the photos.
         evenness: see :class:`PhotoQuality`; None: it is not known.
+        measured: N x R x R, False where photos are made up; None: nowhere.
     """
+    shows = torch.ones_like(photos[..., 0], dtype=torch.bool) if measured is None else measured
+    hidden = resized((~shows)[..., None].float(), min(RADIANCE_SIDE, photos.shape[1])) > 0
     irradiance = geometry(views, RADIANCE_SIDE)[-1].mean(dim=-1) / math.pi  # of a white diffuse texel
-    linear, clipped = color.decode(photos, transfer), (photos >= NEARLY_CLIPPED).any(dim=-1)
-    linear = resized(linear, min(RADIANCE_SIDE, photos.shape[1]))
+    linear, clipped = color.decode(photos, transfer), shows & (photos >= NEARLY_CLIPPED).any(dim=-1)
+    linear = resized(linear, min(RADIANCE_SIDE, photos.shape[1])).masked_fill(hidden, torch.nan)
     luminance = resized(photos, min(DETAIL_SIDE, photos.shape[1])).mean(dim=-1).numpy()
     unclipped = resized(clipped[..., None].float(), min(RADIANCE_SIDE, photos.shape[1]))[..., 0] == 0
     apparent = torch.log((linear.mean(dim=-1) / irradiance).clamp_min(1e-4))
-    beside = apparent - apparent.median(dim=0).values
-    offset = beside.flatten(1).median(dim=1).values
+    beside = apparent - apparent.nanmedian(dim=0).values
+    offset = beside.flatten(1).nanmedian(dim=1).values
     beside = beside - offset[:, None, None]
     hue = linear / linear.sum(dim=-1, keepdim=True).clamp_min(1e-3)
-    colour = (hue - hue.median(dim=0).values).abs().sum(dim=-1)
+    colour = (hue - hue.nanmedian(dim=0).values).abs().sum(dim=-1)
     plain = F.interpolate(((beside.abs() < 0.35) & unclipped).float()[:, None],
                           luminance.shape[1:])[:, 0].bool().numpy()
     sharp, agreement = _sharpness(luminance, plain), _agreement(luminance)
     unlike = (colour > COLOUR) | (beside < -DARKER)
     lost = (agreement < DISAGREE) & (np.median(agreement, axis=0) > AGREE)
     lost &= ((colour > SLIGHT_COLOUR) | (beside.abs() > SLIGHT)).numpy()
-    usual = float(offset.median())
-    return [PhotoQuality(name, float(shown), clipped=float(clipped[i].float().mean()),
+    usual = float(offset.nanmedian())
+    share = shows.float().mean(dim=(1, 2)).tolist()
+    within = [max(each, 1e-9) for each in share]  # pieces and clipped texels are shares of what a photo shows
+    return [PhotoQuality(name, float(shown), clipped=float(clipped[i].float().mean()) / within[i],
                          sharpness=float(sharp[i]), stops=(float(offset[i]) - usual) / math.log(2),
-                         unlike=_largest_piece(unlike[i].numpy()), unlike_detail=_largest_piece(lost[i]),
+                         unlike=_largest_piece(unlike[i].numpy()) / within[i],
+                         unlike_detail=_largest_piece(lost[i]) / within[i], masked=1 - share[i],
                          evenness=(evenness or {}).get(name))
             for i, (name, shown) in enumerate(overlap.items())]
 

@@ -46,7 +46,9 @@ def _reason(photo: PhotoQuality, qualities: Sequence[PhotoQuality], side: int,
     if fired.get(photo.name) == "off" and any(fired.get(each.name) == "fired" for each in qualities):
         return "taken without flash (says its EXIF)", False
     if photo.overlap < LEAST_OVERLAP:
-        return f"partly outside or masked: it shows only {photo.overlap:.0%} of the patch", True
+        return f"partly outside: it shows only {photo.overlap:.0%} of the patch", True
+    if photo.masked == 1:
+        return "masked: its alpha hides all that it shows of the patch", False
     if photo.clipped > MOST_CLIPPED:
         return f"overexposed: {photo.clipped:.0%} of the patch is clipped", False
     if photo.unlike > UNLIKE or photo.unlike_detail > UNLIKE_DETAIL:
@@ -79,18 +81,20 @@ class Verdicts:
 
 
 def judge(photos: Tensor, views: Views, transfer: color.Transfer, overlap: Mapping[str, float],
-          evenness: Mapping[str, float] | None = None, fired: Mapping[str, str] | None = None) -> Verdicts:
+          evenness: Mapping[str, float] | None = None, fired: Mapping[str, str] | None = None,
+          measured: Tensor | None = None) -> Verdicts:
     """Verdicts on photos, each beside the others.
 
     Args:
         photos: N x R x R x 3 display values in [0, 1], rectified.
         views: theirs.
         transfer: of the photos.
-        overlap: share of the patch that each shows, by name, in the order of the photos.
+        overlap: share of the patch within each, by name, in the order of the photos.
         evenness: see :class:`~.photo_quality.PhotoQuality`.
         fired: "fired" or "off" by name, as EXIF says of the flash.
+        measured: N x R x R, False where photos are made up; None: nowhere.
     """
-    found = photo_qualities(photos, views, transfer, overlap, evenness)
+    found = photo_qualities(photos, views, transfer, overlap, evenness, measured)
     rejected, misled = dict[str, str](), False
     for photo in found:
         if said := _reason(photo, found, photos.shape[1], fired or {}):

@@ -30,8 +30,7 @@ def test_those_on_the_other_side_are_the_fewer(turned):
 def test_a_flash_at_the_lens_or_more_noise_than_stated_turns_nothing(seed):
     noise = np.random.default_rng(seed).standard_normal((9, 2))
     for flashes in (asked(0.05 * noise, 0.05), asked(noise, 0.05)):
-        # turned as suits the noise best, it is no more than noise
-        signs = flashes.likeliest()
+        signs = flashes.likeliest()  # turned as suits the noise best, it is no more than noise
         assert not asked(signs[:, None] * noise * 0.05, 0.05).turned(signs)
         assert not asked(signs[:, None] * noise, 0.05).turned(signs)
 

@@ -146,7 +146,17 @@ def test_overexposed(shots):
 
 def test_half_outside(shots):
     reasons, _ = judged(shots, shots.photos, overlap={"6.jpg": 0.5, "7.jpg": 0.97})
-    assert reasons == {"6.jpg": "partly outside or masked: it shows only 50% of the patch"}
+    assert reasons == {"6.jpg": "partly outside: it shows only 50% of the patch"}
+
+
+def test_what_is_masked_does_not_count(shots):
+    """Behind a mask of all, one photo is bright, blurred and of another colour; a finger lies in the rest."""
+    measured = torch.arange(R)[:, None].expand(9, R, R) >= R // 2
+    behind = changed(shots, 3, shots.photos[3].where(measured[3, ..., None], torch.tensor([1, 0.4, 0])))
+    assert {"3.jpg"} == judged(shots, behind)[0].keys()
+    assert judged(shots, behind, measured=measured)[0] == {}
+    behind[5, R // 2:, :R // 3] = torch.tensor([0.5, 0.1, 0.1])  # a sixth of the patch, a third of the rest
+    assert judged(shots, behind, measured=measured)[0]["5.jpg"].startswith("covered: ")
 
 
 def test_duplicate(shots):

@@ -68,8 +68,7 @@ def test_a_broad_lobe_that_photos_leave_open_has_the_usual_level():
 
 
 def test_known_material_at_more_than_the_coarse_size(two_stages, capture):
-    # Measured 0.0043: no worse than without the coarse stage.
-    result = fit_svbrdf(capture, MITSUBA)
+    result = fit_svbrdf(capture, MITSUBA)  # Measured 0.0043: no worse than without the coarse stage.
     assert result.svbrdf.resolution == SIDE and result.stopped == "settled"
     assert map_rmse(result.svbrdf, make_material("leather", SIDE))["mean"] < 0.006
 

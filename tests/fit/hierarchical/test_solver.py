@@ -273,8 +273,7 @@ def test_traced_once(monkeypatch):
 @pytest.mark.parametrize("grey", [False, True])
 @pytest.mark.parametrize("bsdf", CHANNELS)
 def test_numbers_and_back(bsdf, grey):
-    # Measured: 2e-7.
-    material = random_material(bsdf, 8)
+    material = random_material(bsdf, 8)  # Measured: 2e-7.
     if grey and bsdf == "roughconductor":
         maps = dict(material.maps)
         material = SVBRDF(bsdf, maps | {"specular": maps["specular"][..., :1].expand(8, 8, 3)})
