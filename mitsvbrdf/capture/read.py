@@ -130,11 +130,14 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
     for i, photo in enumerate(shown):
         write_png(folder / "target" / f"{i:02d}.png", photo, 16 if capture.transfer == "linear" else 8)
     power = views.intensity.tolist()
+    stated = {"camera_pos": views.camera.tolist(), "light_pos": views.light.tolist(),
+              "light_pow": power[0] if all(row == power[0] for row in power) else power}
+    if not capture.calibrated and torch.allclose(views.in_patch_sides().camera,
+                                                 default_views(len(capture)).camera):
+        stated = {}  # the default geometry, which is no knowledge, and is what is read without these
     files.write_json(folder / "capture.json",
                      {"target_dir": "target", "im_size": views.size, "idx": list(range(len(capture))),
-                      "camera_pos": views.camera.tolist(), "light_pos": views.light.tolist(),
-                      "light_pow": power[0] if all(row == power[0] for row in power) else power,
-                      "transfer": capture.transfer, "calibration": capture.calibration,
+                      **stated, "transfer": capture.transfer, "calibration": capture.calibration,
                       "colours": {name: asdict(found) for name, found in capture.colours.items()},
                       **(keys or {})})
 

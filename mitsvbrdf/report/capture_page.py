@@ -44,10 +44,10 @@ def write_quality(result: CaptureResult, folder: str | Path) -> None:
 def quality_record(result: CaptureResult) -> dict:
     """All numbers of the page; docs/formats.md explains each."""
     number = {name: f"{i:02d}" for i, name in enumerate(result.used)}
-    rows = []
+    rows, known = [], result.capture.calibrated
     for photo in result.photos:
         name, quality = photo.name, result.qualities.get(photo.name)
-        pose = result.rig.poses.get(name)
+        pose = result.rig.poses.get(name) if known else None
         numbers = {key: value for key, value in vars(quality).items() if key != "name"} if quality else {}
         rows.append({"name": name, "used": name in number, "number": number.get(name),
                      "reason": result.rig.rejected.get(name),
@@ -59,12 +59,14 @@ def quality_record(result: CaptureResult) -> dict:
         "schema_version": SCHEMA_VERSION, "photos": rows, "used": len(result.used),
         "calibration": result.capture.calibration, "unit": result.rig.unit, "patch": result.rig.size,
         "resolution": result.capture.resolution, "transfer": result.capture.transfer,
-        "coverage": {"share": result.covered, "lobe_degrees": math.degrees(HIGHLIGHT_ANGLE)},
+        "coverage": {"share": result.covered if known else None,
+                     "lobe_degrees": math.degrees(HIGHLIGHT_ANGLE)},
         "stand": None if next_view is None else {"camera": list(next_view.camera), "gain": next_view.gain,
                                                  "near": result.used[next_view.near],
                                                  "words": next_view.words},
         "flash": list(map(float, result.rig.lens.flash)),
-        "vignetting": list(map(float, result.rig.lens.vignetting)), "focal": float(result.rig.lens.focal),
+        "vignetting": list(map(float, result.rig.lens.vignetting)),
+        "focal": float(result.rig.lens.focal) if known else None,
         "log_exposure": {name: value for name, value in (shading.log_exposure if shading else {}).items()
                          if name in number},
         "warnings": list(result.warnings), "versions": versions(), "machine": machine()}

@@ -195,6 +195,9 @@ def test_of_photos_rectified_to_their_sheet_the_patch_is_cut_out(truth, tmp_path
     capture = read_capture(out)
     assert (capture.calibration, capture.resolution) == ("none", 256)
     assert capture.views.size == pytest.approx(0.64 * 18)
+    stated = json.loads((out / "capture.json").read_text())
+    assert not stated.keys() & {"camera_pos", "light_pos", "light_pow"} and stated["rig"] is None
+    assert json.loads((out / "quality.json").read_text())["coverage"]["share"] is None
     for photo, expected in zip(capture.photos.numpy(), cut, strict=True):
         assert np.abs(photo - expected).mean() < 0.01  # measured 0.002; a pixel aside 0.021
         assert np.abs(photo[:, 1:] - expected[:, :-1]).mean() > 0.01

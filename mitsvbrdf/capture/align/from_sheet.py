@@ -88,9 +88,10 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
     usual = float(np.median(list(errors.values())))
     notes = [unsure_note(focal)] if focal > UNSURE and not still else []
     if usual > LARGE * max(size):
+        so = (": no better were they rectified, and the patch is cut out" if still else
+              ", and all views as uncertain as that: flatten the sheet, and take all photos with one lens")
         notes.append(f"the tags of all photos are some {usual:.1f} pixels beside where those of a flat "
-                     "sheet would be, and all views as uncertain as that: flatten the sheet, and take all "
-                     "photos with one lens")
+                     f"sheet would be{so}")
     if trimmed := [name for name, edges in seen.items() if edges.trimmed]:
         notes.append(f"no white around the tags in {', '.join(trimmed)}: they were measured inside; keep the "
                      "white rim of the sheet")

@@ -12,7 +12,7 @@ import torch
 from ... import color
 from ...color import NEARLY_CLIPPED
 from ...errors import CaptureError
-from ...views import Views, texel_positions
+from ...views import Views, default_views, texel_positions
 from ..lens import Array, project
 from ..rectify import Rectified, filled
 from ..rig import Rig
@@ -74,7 +74,10 @@ def _shading(rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Pa
 
 
 def _views(rig: Rig, shading: Shading | None) -> Views:
-    """Where cameras and flashes were, and how bright each photo shows them."""
+    """Where cameras and flashes were, and how bright each photo shows them; the default, if unknown."""
+    if rig.source == "none":
+        views = default_views(len(rig.poses))
+        return Views.of(views.camera * rig.size, None, views.intensity * rig.size**2, rig.size)
     camera, light = map(np.stack, zip(*((p.position, p.flash(rig.lens)) for p in rig.poses.values())))
     if shading is None:
         return Views.of(camera, light, math.pi * float(np.median(np.square(camera).sum(axis=1))), rig.size)
