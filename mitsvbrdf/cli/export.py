@@ -59,10 +59,7 @@ def export(
     if side_cm is not None and not SMALLEST <= side_cm <= LARGEST:
         raise ConfigError(f"a side of {SMALLEST:g} to {LARGEST:g} cm", f"--side-cm {side_cm:g}",
                           "give it in centimetres")
-    builtin = maps.startswith("builtin:")
-    if out is None and (builtin or Path(maps).is_file()):
-        raise ConfigError(f"an output folder beside {maps}, which is no folder", "none", "add -o FOLDER")
-    out = out or options.folder_inside(Path(maps), "export")
+    out = out or options.folder_inside(maps, "export")
     svbrdf, fit = options.material_of(maps, 256, encoding), options.fit_of_maps(maps)
     side = side_cm / 100 if side_cm is not None else fit.side_metres
     options.keep_apart_from_maps(maps, out)

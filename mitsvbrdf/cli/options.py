@@ -72,11 +72,13 @@ def keep_apart_from_maps(maps: str, out: Path) -> None:
         raise folder_of_its_own(out, "maps")
 
 
-def folder_inside(parent: Path, name: str) -> Path:
-    """A folder for results that no user named; a link, or a name that leads out of ``parent``, raises."""
-    found = files.inside(parent, name)
+def folder_inside(maps: str, name: str) -> Path:
+    """A folder for results that no user named; a link, a name that leads elsewhere, or a file raises."""
+    if maps.startswith("builtin:") or Path(maps).is_file():
+        raise ConfigError(f"an output folder beside {maps}, which is no folder", "none", "add -o FOLDER")
+    found = files.inside(Path(maps), name)
     if found is None:
-        raise OutputError(f"a folder {name} inside {parent}", "a link, or a name that leads elsewhere",
+        raise OutputError(f"a folder {name} inside {maps}", "a link, or a name that leads elsewhere",
                           "move the link away, or name a folder with -o")
     return found
 

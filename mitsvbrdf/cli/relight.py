@@ -74,10 +74,7 @@ def relight(
     pixels = _size(size)
     chosen = list(PRESETS) if preset == "all" else _chosen("--preset", preset, PRESETS)
     kinds = [] if movie == "none" else _chosen("--movie", movie, MOVIES)
-    builtin = maps.startswith("builtin:")
-    if builtin and out is None and not explain:
-        raise ConfigError("an output folder, beside a builtin material", "none", "add -o FOLDER")
-    out = out or options.folder_inside(Path(maps), "relight")
+    out = out or (Path() if explain else options.folder_inside(maps, "relight"))
     svbrdf, fit = options.material_of(maps, 256, encoding, normal), options.fit_of_maps(maps)
     with using_mitsuba(variant) as mi:
         stages = [make_stage(mi, svbrdf, each, environment=environment, size=pixels, frames=frames,
@@ -93,7 +90,7 @@ def relight(
         views = fit.known_views
         lit = (views.camera, views.light, views.intensity) if views else ()
         sky = file_hash(Path(environment)) if environment and os.path.isfile(environment) else None
-        settings = {"maps": maps if builtin else os.path.realpath(maps),
+        settings = {"maps": maps if maps.startswith("builtin:") else os.path.realpath(maps),
                     "material": digest(*svbrdf.maps.values(), *lit), "environment": environment,
                     "environment_file": sky, "size": pixels, "frames": frames, "tiling": tiling,
                     "exposure": exposure, "target_error": stop.target_error, "budget": budget,

@@ -74,19 +74,25 @@ def test_damaged_photos_are_named_and_refused_when_strict(copy, tmp_path, capsys
 
 
 @pytest.mark.parametrize("options, word", [
-    (["fit", "PHOTOS", "--similarity", "1e300"], "similarity"), (["fit", "PHOTOS", "--resolution", "1000000"],
-                                                             "resolution"),
+    (["fit", "PHOTOS", "--similarity", "1e300"], "similarity"),
+    (["fit", "PHOTOS", "--resolution", "1000000"], "resolution"),
     (["fit", "PHOTOS", "--method", "hybrid", "--width", "999999"], "width"),
     (["capture", "PHOTOS", "--sheet", "1e300"], "sheet"),
     (["capture", "PHOTOS", "--sheet", "18", "--depth", "nan"], "depth"),
-    (["synth", "builtin:tiles", "--noise", "1e300"], "noise"), (["guess", "PHOTOS", "--resolution", "9" * 30],
-                                                                "resolution"),
+    (["synth", "builtin:tiles", "--noise", "1e300"], "noise"),
+    (["guess", "PHOTOS", "--resolution", "9" * 30], "resolution"),
     (["relight", "builtin:tiles", "--frames", "9999999999"], "frames"),
     (["crosscheck", "--repeats", "9999999999"], "repeats"), (["demo", "--budget", "nan"], "budget")])
 def test_absurd_numbers(options, word, shots, tmp_path, capsys):
     command = [shots if each == "PHOTOS" else each for each in options]
     out = [] if options[0] == "crosscheck" else ["-o", tmp_path / "out"]
     fails(capsys, tmp_path, [*command, *out], word)
+
+
+@pytest.mark.parametrize("command", ["relight", "export"])
+def test_nothing_is_written_inside_a_file(command, tmp_path, capsys):
+    (tmp_path / "a.glb").touch()
+    fails(capsys, tmp_path, [command, tmp_path / "a.glb"], "which is no folder", "-o FOLDER")
 
 
 def test_a_warning_is_said_once(capsys):
