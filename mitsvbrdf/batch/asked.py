@@ -126,12 +126,9 @@ class Stock:
 
 def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
                report: Report = lambda text, share: None) -> Stock:
-    """Compare what is asked for with the folders of a library, which is this process's own.
+    """Compare what is asked for with the folders of a library, which is this process's own and learns of it.
 
-    Args:
-        asked: each capture with its options; the same twice counts once.
-        library: what lies there; it learns what is asked for.
-        retry_failed: whether what failed is tried again.
+    The same capture with the same options twice counts once.
     """
     stock, results, known, wanted = Stock(), library.results, library.materials, dict[str, Material]()
     for material in _materials(list(asked), report):

@@ -94,16 +94,9 @@ def local_capture(source: str) -> Iterator[Path]:
 
 
 def rectified(folder: Path, out: Path, sheet: float | None, transfer: Transfer | None) -> Path:
-    """The capture to fit: raw photos become one in ``out``, any other stays as it is.
+    """The capture to fit: raw photos become one in ``out``, with its page; any other stays as it is.
 
-    Args:
-        folder: of the capture, or its JSON file.
-        out: takes the new capture and its page.
-        sheet: size of the printed sheet around the material in cm; None where there is none.
-        transfer: how the photos encode light; None where they say it.
-
-    Raises:
-        CaptureError: the raw photos make no capture.
+    A transfer of None is what the photos say. CaptureError: the raw photos make no capture.
     """
     from ..capture import write_capture
     from ..capture.align.from_sheet import refuse_tags

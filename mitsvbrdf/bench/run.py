@@ -99,20 +99,12 @@ def run(methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequen
     """Do the fits whose records are missing; keep each record as soon as it is there.
 
     Methods take turns, so that drift of the machine hits all; the first seed is done before the next one, and
-    short budgets before long ones. A method without randomness has the first seed alone.
+    short budgets before long ones. A method without randomness has the first seed alone. The file at ``path``
+    has one JSON object a line; one that is there is gone on with. Returned are the records asked for, of this
+    version and machine, in the order of the fits.
 
-    Args:
-        methods: settings by name; each fit sets budget and seed.
-        budgets: seconds.
-        renderer: carries the gradients.
-        path: of the file of records, one JSON object a line; a file that is there is gone on with.
-
-    Returns:
-        The records asked for, of this version and machine, in the order of the fits.
-
-    Raises:
-        ConfigError, OutputError: a file that holds something else, or cannot be written.
-        KeyboardInterrupt: after Ctrl-C; the records of finished fits are kept.
+    ConfigError, OutputError: a file that holds something else, or cannot be written. KeyboardInterrupt: after
+    Ctrl-C; the records of finished fits are kept.
     """
     jobs = [Job(method, task, config, budget, seed)
             for seed in seeds for budget in sorted(budgets) for task in tasks

@@ -108,20 +108,14 @@ def real_capture(folder: Path, resolution: int, held_out: Sequence[int] = HELD_O
 
 def find_tasks(materials: Sequence[str] | None, captures: Sequence[str] | None, data: Path | None,
                resolution: int, held_out: Sequence[int], views: str | None, renderer: Renderer) -> list[Task]:
-    """Tasks by name.
+    """Tasks by name: known materials (``builtin:NAME``, folders, made ones or those in the data) and
+    captures.
 
-    Args:
-        materials: ``builtin:NAME``, folders, or bare names of made materials or of those in the data; "none"
-            is skipped. None: all of both.
-        captures: folders, or names in the data; "none" is skipped. None: all in the data.
-        data: folder with ``captures/`` and ``materials/``, as :func:`data_folder` finds it.
-        held_out: numbers of the photos of captures that no fit sees.
-        views: the capture whose views photos of known materials have, or builtin:grid; None: cards-blue of
-            the data, else builtin:grid.
-        renderer: takes the photos of known materials.
+    None is all there are; "none" is skipped. No fit sees the photos of captures with the numbers
+    ``held_out``. Photos of known materials are taken by the renderer from the views of a capture, or of
+    builtin:grid; None: of cards-blue of the data, else builtin:grid.
 
-    Raises:
-        ConfigError, CaptureError, MapsError: one that is not there, two of one name, or none at all.
+    ConfigError, CaptureError, MapsError: one that is not there, two of one name, or none at all.
     """
     there = {what: {p.name: str(p) for p in _folders(data, what)} for what in ("materials", "captures")}
     made = {name: f"builtin:{name}" for name in MATERIALS}

@@ -90,14 +90,11 @@ def why_not(capture: Capture) -> str | None:
 
 @entry()
 def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
-    """The capture with views estimated from its photos, if it has none of its own.
+    """The capture with views estimated from its photos, if it has none of its own; with a note, and what was
+    found.
 
-    Args:
-        capture: rectified photos.
-
-    Returns:
-        The capture, with a note, and what was found; itself and None where views are known. Where they cannot
-        be estimated (:func:`why_not`) the default geometry stays, and a note says why.
+    It is itself, and found is None, where views are known. Where they cannot be estimated (:func:`why_not`)
+    the default geometry stays, and a note says why.
     """
     if capture.calibrated:
         return capture, None

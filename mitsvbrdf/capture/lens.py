@@ -69,12 +69,9 @@ def field_of_view(focal_35mm: float, width: int, height: int) -> float:
 
 
 def expected_lens(size: tuple[int, int], focal_35mm: Sequence[float]) -> Lens:
-    """A pinhole lens as EXIF states it.
+    """A pinhole lens as EXIF states it: the median of the photos' 35 mm equivalent focal lengths.
 
-    Args:
-        size: of the photos in pixels.
-        focal_35mm: 35 mm equivalent focal lengths of the photos that state it, of which the median counts;
-            empty: :data:`~mitsvbrdf.views.FIELD_OF_VIEW` is assumed.
+    Of none, :data:`~mitsvbrdf.views.FIELD_OF_VIEW` is assumed.
     """
     angle = field_of_view(float(np.median(focal_35mm)), *size) if len(focal_35mm) else FIELD_OF_VIEW
     return Lens(size, max(size) / 2 / math.tan(math.radians(angle) / 2))

@@ -51,14 +51,7 @@ def rig_to_json(rig: Rig) -> dict:
 
 def check_enough(kept: Sized, rejected: Mapping[str, str], what: str = "that can be used",
                  fix: str = "take more photos from different places, flash on") -> None:
-    """Raise CaptureError where fewer than three photos are left.
-
-    Args:
-        kept: what is left.
-        rejected: reason, by name of each photo that is not.
-        what: the photos that are needed.
-        fix: what to do.
-    """
+    """Raise CaptureError, with the reasons, where fewer than three photos are left; ``fix`` is what to do."""
     if len(kept) >= LEAST_PHOTOS:
         return
     named: dict[str, list[str]] = {}

@@ -67,12 +67,8 @@ class Texture:
 
 
 def stored(name: str, value: Tensor, normal: NormalConvention = "gl") -> Tensor:
-    """A map as its file holds it, in [0, 1]: colours sRGB, the rest linear, normals (n + 1) / 2.
-
-    Args:
-        name: the map's, as in :data:`mitsvbrdf.material.maps.CHANNELS`.
-        value: R x R x C, linear.
-        normal: ``dx`` turns y, the green channel, around.
+    """A map as its file holds it, in [0, 1]: colours sRGB, the rest linear, normals (n + 1) / 2, ``dx`` with
+    y turned around.
     """
     if name == "normal":
         if normal == "dx":

@@ -67,13 +67,8 @@ def atomic_write(path: Path) -> Iterator[Path]:
 def file_lock(path: Path, seconds: float = -1) -> Iterator[None]:
     """Keep a file or folder for this process and thread, by a file ``.NAME.lock`` beside it.
 
-    Args:
-        path: what is locked; it need not exist, its folder must.
-        seconds: how long to wait for others; -1 for as long as it takes.
-
-    Raises:
-        OutputError: another one has it.
-        OSError: no lock can be made there.
+    What is locked need not exist, its folder must. Others are waited for so many seconds, or as long as it
+    takes. OutputError: another one has it. OSError: no lock can be made there.
     """
     place = _lock_file(path)
     with contextlib.suppress(FileNotFoundError):  # another run may take its lock away meanwhile

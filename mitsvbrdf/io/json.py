@@ -30,15 +30,10 @@ def read_json(path: Path, error: type[MitsvbrdfError], expected: str = "a valid 
 
 
 def load(path: Path, kind: type | tuple[type, ...] = dict, links: bool = True) -> Any:
-    """What a JSON file holds.
+    """What a JSON file holds, a value of this type; a symbolic link only where ``links`` says so.
 
-    Args:
-        path: of the file; a symbolic link only where ``links`` says so.
-        kind: type of the whole value.
-
-    Raises:
-        OSError: it cannot be read, or is no regular file.
-        ValueError: it is larger than 256 MiB, or :func:`parsed` refuses its content.
+    OSError: it cannot be read, or is no regular file. ValueError: it is larger than 256 MiB, or
+    :func:`parsed` refuses its content.
     """
     with open_regular(Path(os.path.realpath(path)) if links else path) as file:
         if os.fstat(file.fileno()).st_size > MOST_BYTES:

@@ -49,15 +49,8 @@ def layered(svbrdf: SVBRDF, f0: Tensor) -> SVBRDF:
     """Base colour and metallic for clients whose highlight leaves 1 - F0 of the diffuse light.
 
     Of all but metals the base colour is the diffuse colour divided by that: seen from above, the diffuse
-    light is ours.
-
-    Args:
-        svbrdf: a ``roughconductor`` material.
-        f0: the F0 that the client knows of what is no metal, broadcast to R x R x 1.
-
-    Returns:
-        A ``principled`` material. Cut are base colours above 1, of texels that reflect more light than
-        arrives.
+    light is ours. ``f0`` (broadcast to R x R x 1) is what the client knows of what is no metal. Cut are base
+    colours above 1, of texels that reflect more light than arrives.
     """
     material = as_principled(svbrdf)
     base = (svbrdf["diffuse"] / (1 - f0).clamp_min(1e-6)).clamp_max(1.0)
@@ -77,12 +70,10 @@ def relative_f0(svbrdf: SVBRDF, level: float) -> Tensor:
 
 
 def as_shown(material: SVBRDF, f0: Tensor, taken: Tensor) -> SVBRDF:
-    """What a layering client shows from above, as diffuse and F0: inverts :func:`layered`.
+    """What a layering client shows of a ``principled`` material from above: inverts :func:`layered`.
 
-    Args:
-        material: a ``principled`` one.
-        f0: of what is no metal, broadcast to R x R x 3.
-        taken: the share of the light that the highlight takes from the diffuse, broadcast to R x R x 1.
+    ``f0`` is that of what is no metal, ``taken`` the share of light that the highlight takes from the
+    diffuse.
     """
     base, metallic = material["base_color"], material["metallic"]
     return SVBRDF("roughconductor", {"diffuse": base * (1 - metallic) * (1 - taken),

@@ -33,17 +33,9 @@ STEEPEST = 0.05  # smallest z that slopes are computed with
 def unit_normals(image: Tensor, path: Path, convention: str = "", way: str = OVERRULE) -> Tensor:
     """Unit normals, +Y up, H x W x 3, of what a file holds.
 
-    Understood are (n + 1) / 2, signed vectors of EXR files, and x and y alone.
-
-    Args:
-        image: H x W x C, as the file holds it.
-        convention: ``gl`` or ``dx`` where it is stated; else the curl decides.
-
-    Raises:
-        MapsError: no normals.
-
-    Warns:
-        MapsWarning: DirectX was found by its curl, or is possible; a few normals were lifted.
+    Understood are (n + 1) / 2, signed vectors of EXR files, and x and y alone. A convention is ``gl`` or
+    ``dx`` where it is stated; else the curl decides. MapsError: no normals. MapsWarning: DirectX was found by
+    its curl, or is possible; a few normals were lifted.
     """
     normal = _lifted(F.normalize(_vectors(image, path), dim=-1), path)
     if not convention and (found := directx_by_curl(normal)) is not False:

@@ -22,12 +22,8 @@ def heights(normal: Tensor, periodic: bool = False) -> Tensor:
 
     Between neighbours the slope is the mean of theirs; at the border it is free. That is Poisson's equation
     with Neumann's condition, solved exactly by a cosine transform (Simchony, Chellappa and Shao 1990, after
-    Frankot and Chellappa 1988). Slopes above :data:`STEEPEST` are cut.
-
-    Args:
-        normal: R x R x 3, unit vectors, +Y up, row 0 at the top.
-        periodic: whether the last texel goes on in the first, for a material that is repeated; the slope of
-            the whole is lost.
+    Frankot and Chellappa 1988). Slopes above :data:`STEEPEST` are cut. Of a periodic material the last texel
+    goes on in the first; the slope of the whole is lost.
     """
     n = normal.double()
     size = len(n)

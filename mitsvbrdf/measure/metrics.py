@@ -86,16 +86,7 @@ def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "g
 
 
 def image_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> dict[str, float]:
-    """Error of an image, value by value: :func:`relative_error` and :func:`error_statistics`.
-
-    Args:
-        image: any shape, linear.
-        reference: the same shape; best in float64.
-        floor: share of the reference's mean absolute value below which a value counts as that share.
-
-    Raises:
-        MapsError: shapes that differ.
-    """
+    """Error of an image, value by value: :func:`relative_error` and :func:`error_statistics`."""
     return error_statistics(relative_error(image, reference, floor))
 
 
@@ -150,18 +141,9 @@ def flip(image: Tensor, reference: Tensor, transfer: color.Transfer = "gamma2.2"
 def gradient_error(gradient: Tensor, reference: Tensor) -> dict[str, float]:
     """How far a gradient is from a reference gradient, as whole vectors.
 
-    Args:
-        gradient: any shape.
-        reference: the same shape, not all 0; best in float64.
-
-    Returns:
-        ``relative_l2``: |g - r| / |r|; ``cosine`` of the angle between them; ``worst``: the largest
-        difference of one entry over the largest entry of the reference; ``bias``: (g - r) r / |r|^2, by how
-        much the gradient is too long along the reference. Where the reference is 0 everywhere they are
-        infinite or NaN.
-
-    Raises:
-        MapsError: shapes that differ.
+    ``relative_l2``: |g - r| / |r|; ``cosine`` of the angle between them; ``worst``: the largest difference of
+    one entry over the largest entry of the reference; ``bias``: (g - r) r / |r|^2, by how much the gradient
+    is too long along the reference. Where the reference is 0 everywhere they are infinite or NaN.
     """
     gradient, reference = _pair(gradient, reference)
     off, length = gradient - reference, reference.norm()

@@ -65,12 +65,9 @@ def begin(settings: Mapping) -> Record:
 def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
     """The record of an earlier run with the same settings, its files brought to ``folder``.
 
-    Args:
-        out: the folder of results, finished or interrupted.
-        folder: where results are made; of a run that was killed it still holds the frames, and comes first.
-
-    Raises:
-        ConfigError: there is no earlier run, it had other settings, or it names files outside of its folder.
+    The folder where results are made still holds the frames of a run that was killed, and comes before
+    ``out``. ConfigError: there is no earlier run, it had other settings, or it names files outside of its
+    folder.
     """
     place = next((place for place in (folder, out) if files.is_regular(place / RECORD)), None)
     if place is None:
@@ -111,20 +108,11 @@ def render_stages(mi: ModuleType, stages: Sequence[Stage], stop: Stop, record: R
                   done: Callable[[Stage], object], interrupted: Sequence = ()) -> bool:
     """Render the frames that the record lacks, in order; frames are EXR files, stills have a PNG beside.
 
-    Args:
-        stop: when a frame is done; a budget is that of all frames together, and those to come share what is
-            left.
-        record: gets an entry for each frame, and is written after each.
-        exposure: of the PNG, and of the picture whose error is estimated, in stops.
-        done: called after each preset, with what it has where it was interrupted.
-        interrupted: not empty once somebody wants an end; the frame at hand is kept as it is.
-
-    Returns:
-        Whether all frames are done.
-
-    Raises:
-        MapsError: radiance that is not finite.
-        OutputError: the folder cannot be written.
+    A budget is that of all frames together: those to come share what is left. The record gets an entry for
+    each frame, and is written after each. The exposure is that of the PNG, and of the picture whose error is
+    estimated. ``done`` is called after each preset, with what it has where it was interrupted.
+    ``interrupted`` is not empty once somebody wants an end; the frame at hand is kept as it is. Whether all
+    frames are done is returned. MapsError: radiance that is not finite.
     """
     total = sum(stage.frames for stage in stages)
     before = 0
@@ -190,15 +178,9 @@ PALETTE_SIZE = 256  # of a GIF's palette
 def write_mp4(path: Path, frames: Iterable[Tensor]) -> None:
     """An MP4 that every player and browser shows: H.264, yuv420p, tagged as BT.709, limited range.
 
-    yuv420p has half as many chroma as luma samples on either axis, so an odd size gets one column or row
-    more, a copy of its neighbour: so nothing of the picture is lost.
-
-    Args:
-        frames: display values in [0, 1] (clipped), each H x W x 3 of the same size.
-
-    Raises:
-        BackendError: PyAV is not installed.
-        OutputError: the file cannot be written.
+    Frames are display values, clipped to [0, 1]. yuv420p has half as many chroma as luma samples on either
+    axis, so an odd size gets one column or row more, a copy of its neighbour: so nothing of the picture is
+    lost. BackendError: PyAV is not installed.
     """
     av = av_module()
     from av.video.reformatter import ColorRange, Colorspace

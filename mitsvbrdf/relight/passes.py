@@ -77,15 +77,10 @@ def render_passes(draw: Callable[[int, int], Tensor], stop: Stop, *, pixels: int
                   report: Report = lambda text, share: None, interrupted: Sequence = ()) -> Rendered:
     """Add passes until the frame is done.
 
-    Args:
-        draw: (number of the call, samples a pixel, a power of two) -> linear H x W x 3, independent from call
-            to call.
-        exposure: stops by which the picture is shown brighter than it is; the error is that of the picture
-            shown.
-        interrupted: not empty once somebody wants an end now; one call is made in any case.
-
-    Raises:
-        MapsError: the renderer gave numbers that are not finite.
+    ``draw`` takes the number of the call and samples a pixel, a power of two, and gives linear H x W x 3,
+    independent from call to call. The error is that of the picture as shown, so many stops brighter.
+    ``interrupted`` is not empty once somebody wants an end; one call is made in any case. MapsError: the
+    renderer gave numbers that are not finite.
     """
     started = time.perf_counter()
     mean, curve, why, calls, looking, most = GroupedMean(), list[dict](), "", 0, 0.0, _power_of_two(

@@ -35,18 +35,9 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
                quick: bool = False, report: Report = lambda text, share: None) -> dict:
     """Measure renderers on fitted maps, in the views of the fit.
 
-    Args:
-        svbrdf: the fitted material, float32.
-        views: N views as fitted.
-        renderer: of the fit; None, for one that is not ours, measures nothing that needs it.
-        names: of the photos, one for each view.
-        grey_specular: whether the fit had one specular level instead of three channels.
-        quick: check the fit's renderer alone, at 64 px in two views, and time nothing; else at 256 px at
-            most, in 25 views at most, evenly chosen.
-
-    Returns:
-        A record for JSON: ``quick``, ``maps`` (``low``, ``high``, ``mean`` of each), ``condition``,
-        ``crosscheck``, ``saved``, ``machine``, ``versions``; docs/formats.md explains them.
+    Without a renderer, that of a fit which is not ours, nothing is measured that needs it. A quick report
+    checks the fit's renderer alone, at 64 px in two views, and times nothing. Else it is 256 px at most, in
+    25 views at most, evenly chosen. docs/formats.md explains the record for JSON.
     """
     engines = [] if renderer is None else [renderer]
     if not quick:

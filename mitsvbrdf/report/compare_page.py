@@ -21,11 +21,7 @@ def write_compare_page(path: str | Path, record: dict, entries: Sequence[Entry],
                        pictures: Sequence[Tensor], guess: Tensor, reference: SVBRDF | None = None) -> None:
     """Write one HTML file: the photos, the maps of each method, errors, and re-renderings beside photos.
 
-    Args:
-        record: of :func:`mitsvbrdf.evaluate.photos.compare`.
-        capture: the N photos.
-        pictures: for each method N x R x R x 3, display values, as the same call gave them.
-        guess: guessed diffuse map of the photos, R x R x 3, linear.
+    The record and the pictures are those of one call of :func:`mitsvbrdf.evaluate.photos.compare`.
     """
     methods, side = record["methods"], record["resolution"]
     rows = ([] if reference is None

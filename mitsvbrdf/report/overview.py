@@ -60,19 +60,9 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
     """Write one PNG, 1680 pixels wide: the maps, and below them photos, re-renderings and differences.
 
     Colour maps are shown in sRGB, roughness and metallic as they are, normals as (n + 1) / 2. At most nine
-    photos are shown.
-
-    Args:
-        photos: N x R x R x 3, display values in [0, 1].
-        rerendered: the same shape, display values in [0, 1] (``color.to_display`` of the radiance).
-        rmse: the error over all photos, in display values.
-        names: a name for each photo.
-        guess: guessed diffuse map, R x R x 3, linear, or None.
-        remarks: a few words beside the name of some maps, by map.
-
-    Raises:
-        CaptureError: photos, re-renderings, errors and names of different number or shape.
-        OutputError: the file cannot be written.
+    photos are shown. Photos and re-renderings are display values N x R x R x 3 in [0, 1], errors in display
+    values too; the guess is linear. ``remarks`` are a few words beside the name of some maps. CaptureError:
+    photos, re-renderings, errors and names of different number or shape.
     """
     count = len(photos)
     if not count or photos.shape != rerendered.shape or not count == len(per_photo) == len(names):

@@ -25,16 +25,9 @@ TOP_LEVELS = {"square": 4095, "plain": 65535, "octahedral": 65535}  # highest in
 def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
     """The viewer as an HTML fragment, for one place of a page that extends ``report/base.html``.
 
-    The template marks it ``|safe``.
-    It asks nothing of the network, opens from disk, and puts ``window.mitsvbrdfViewer`` into the page
-    (``viewer.js``).
-
-    Args:
-        svbrdf: either BSDF.
-        largest: texels along a side; larger maps are area-averaged down to this.
-
-    Raises:
-        MapsError: values that are not finite or out of range.
+    The template marks it ``|safe``. It asks nothing of the network, opens from disk, and puts
+    ``window.mitsvbrdfViewer`` into the page (``viewer.js``). Larger maps are area-averaged. MapsError: values
+    that are not finite or out of range.
     """
     svbrdf = svbrdf.detach().check()
     if svbrdf.resolution > largest:

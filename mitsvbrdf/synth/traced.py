@@ -53,12 +53,8 @@ class HandheldRenderer:
                seed: int = 0) -> NDArray[np.float32]:
         """Linear radiance H x W x 3 at the lens, before its vignetting; each pixel the average over its area.
 
-        Args:
-            lens: a :class:`mitsvbrdf.capture.lens.Lens`, lengths in cm.
-            pose: a :class:`mitsvbrdf.capture.lens.Pose`.
-            intensity: radiant intensity of the flash: a white diffuse texel has radiance I cos / (pi d^2), d
-                in cm.
-            ambient: radiance of surroundings that are everywhere the same, instead of the flash.
+        Lengths are in cm. Under a flash of this radiant intensity a white diffuse texel has radiance I cos /
+        (pi d^2). Instead of the flash, surroundings may have the radiance ``ambient`` everywhere.
         """
         with using_mitsuba(self.variant) as mi:
             return self._render(mi, lens, pose, intensity, ambient, seed)

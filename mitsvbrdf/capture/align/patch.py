@@ -89,13 +89,8 @@ def choose_patch(outlines: dict[str, Array], least: int = 3,
                  always: str | None = None) -> tuple[Array, float, list[str]]:
     """The largest square that all photos show, but for those that would cost too much of it.
 
-    Args:
-        outlines: by name of the photo.
-        least: so many photos are kept.
-        always: a photo that is kept.
-
-    Returns:
-        Centre, side, and the names of rejected photos; a side of 0 or below: too few photos show the same.
+    So many photos are kept at least, and ``always``. Centre, side, and the names of rejected photos; a side
+    of 0 or below: too few photos show the same.
     """
     kept = dict(outlines)
     out: list[str] = []

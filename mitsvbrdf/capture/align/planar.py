@@ -78,12 +78,9 @@ def _turned(vectors: Array) -> Array:
 def starts(lens: Lens, homographies: dict[str, Array], hub: str, most: int = 3) -> list[dict[str, Pose]]:
     """Poses that agree with homographies, for the likeliest tilts of the hub; the best first.
 
-    For a tilt of the hub each homography gives the two axes of the plane in the other camera. They must be of
-    one length and at a right angle, which tells tilts apart; there may be two answers, and with parallel
-    photos there are many.
-
-    Args:
-        homographies: from pixels of the hub to pixels of each photo, 3 x 3; that of the hub is 1.
+    Homographies lead from pixels of the hub to pixels of each photo; that of the hub is 1. For a tilt of the
+    hub each gives the two axes of the plane in the other camera. They must be of one length and at a right
+    angle, which tells tilts apart; there may be two answers, and with parallel photos there are many.
     """
     inverse = np.linalg.inv(lens.matrix)
     maps = np.stack([inverse @ h @ lens.matrix for h in homographies.values()])
@@ -119,13 +116,9 @@ def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match
            focal_share: float, steps: int = 50) -> tuple[Lens, dict[str, Pose], float, float]:
     """Lens and poses at which matches and what is expected beforehand agree best.
 
-    Args:
-        poses: a start; that of the hub is above the origin and stays there, but may tilt.
-        focal: focal length that is expected beforehand, in pixels; that of ``lens`` is but a start.
-        focal_share: deviation of the expected focal length from the true one, as a share.
-
-    Returns:
-        Lens, poses, the cost (it tells starts apart), and the focal length's standard deviation as a share.
+    The hub is above the origin and stays there, but may tilt. The lens's focal length is but a start:
+    expected are ``focal`` pixels, with ``focal_share`` of it as deviation. Also given are the cost, which
+    tells starts apart, and the focal length's standard deviation as a share.
     """
     from scipy.optimize import least_squares
 

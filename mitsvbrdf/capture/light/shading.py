@@ -47,15 +47,10 @@ def shading_of_paper(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color
                      albedo: float = PAPER_ALBEDO) -> Shading:
     """Flash, its power and colour, vignetting and exposures from white paper around the material.
 
-    Args:
-        rig: lens and poses; photos without a pose do not count.
-        photos: by name; pixels H x W x 3 as stored (integers, or float in [0, 1]), of the lens's size or a
-            whole part of it.
-        white: for points of the world (K x 2) whether bare paper is there, K bools.
-        albedo: of the paper, the same in all colours: what deviates is the flash's colour.
-
-    Raises:
-        CaptureError: no photo shows white paper that is neither clipped nor dark.
+    Photos are pixels H x W x 3 as stored (integers, or float in [0, 1]), of the lens's size or a whole part
+    of it; those without a pose do not count. ``white`` says for points of the world (K x 2) whether bare
+    paper is there. Its albedo is the same in all colours: what deviates is the flash's colour. CaptureError:
+    no photo shows white paper that is neither clipped nor dark.
     """
     seen = {name: paper_samples(photos[name], rig.lens, pose, white, depth, transfer)
             for name, pose in rig.poses.items() if name in photos}
@@ -114,13 +109,8 @@ def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: co
     :data:`~mitsvbrdf.material.maps.USUAL_ALBEDO`), with no more than one texel in a hundred whiter than
     paper. A metal is taken for a dielectric under a brighter flash. The flash is taken to be white.
 
-    Args:
-        rig: lens and poses; photos without a pose do not count.
-        photos: by name; rectified to the patch, R x R x 3 display values in [0, 1] with their vignetting, NaN
-            where a photo does not reach.
-
-    Raises:
-        CaptureError: no photo that is neither clipped nor dark.
+    Photos are rectified to the patch, R x R x 3 display values in [0, 1] with their vignetting, NaN where one
+    does not reach. CaptureError: no photo that is neither clipped nor dark.
     """
     seen = {name: material_samples(photos[name], rig.lens, pose, rig.size, transfer)
             for name, pose in rig.poses.items() if name in photos}
