@@ -33,19 +33,11 @@ def chromium() -> str:
 def opened(path: Path, *, width: int = 1280, height: int = 900, scheme: Literal["light", "dark"] = "light",
            phone: bool = False,
            flags: tuple[str, ...] = FLAGS, beside: bool | Path = False, at: str = "") -> Iterator:
-    """A playwright page that shows this file, opened from disk; the browser ends with the block.
+    """A playwright page that shows this HTML file, opened from disk; the browser ends with the block.
 
     At the end of the block: no console message, no uncaught error, and no request but for the file itself, or
-    with ``beside`` for files of its folder, or of the one that it names.
-
-    Args:
-        path: an HTML file.
-        width, height: of the window, CSS pixels.
-        scheme: which colours the page is asked for.
-        phone: touch, and two device pixels a CSS pixel.
-        flags: of Chromium.
-        beside: the page consists of several files.
-        at: what follows the file's address, from # on.
+    with ``beside`` for files of its folder, or of the one that it names. ``phone``: touch, and two device
+    pixels a CSS pixel; ``at``: what follows the file's address, from # on.
     """
     executable = chromium()
     from playwright.sync_api import sync_playwright

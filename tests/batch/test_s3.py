@@ -9,9 +9,11 @@ import urllib.request
 from pathlib import Path
 
 import pytest
-from helpers.captures import write_captures
+from helpers import photos_of
 
 from mitsvbrdf import cli
+from mitsvbrdf.capture import write_capture
+from mitsvbrdf.material.made import make_material
 
 pytestmark = pytest.mark.slow
 FIT = ["--resolution", "16", "--guess", "min", "--iterations", "4", "--workers", "1", "--pages", "none"]
@@ -36,7 +38,9 @@ def store(tmp_path, monkeypatch):
     s3fs.S3FileSystem.clear_instance_cache()
     fs = s3fs.S3FileSystem(use_listings_cache=False, skip_instance_cache=True)
     fs.mkdir("shots")
-    write_captures(tmp_path / "shots", 2)
+    for seed in range(2):
+        material = make_material("inlay", 16, seed=seed)
+        write_capture(photos_of(material, noise=0.003), tmp_path / f"shots/shot-{seed}")
     fs.put(f"{tmp_path / 'shots'}/", "shots/", recursive=True)
     yield fs
     s3fs.S3FileSystem.clear_instance_cache()

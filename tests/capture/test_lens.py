@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 import cv2
 import numpy as np
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from mitsvbrdf.capture.lens import Lens, Pose, on_plane, project, rays
 from mitsvbrdf.capture.photo import Photo
 from mitsvbrdf.capture.rectify import rectified
+from mitsvbrdf.capture.rig import Rig, rig_to_json
 from mitsvbrdf.views import texel_positions
 
 LENSES = [Lens((600, 450), 500.0), Lens((600, 450), 475.0, (295.0, 228.5), (0.1, -0.06)),
@@ -160,3 +163,17 @@ def test_many_rows_are_done_in_parts():
     found = rectified(coordinates(lens, pose, np.uint16), lens, pose, SIZE, 80)
     truth = texel_positions(80).numpy()[..., :2] * SIZE
     assert np.abs(found[..., :2] * 2 - 1 - truth).max() < 1e-4  # 1.1e-5 was seen
+
+
+def test_a_rig_is_plain_json():
+    lens = Lens((4032, 3024), 3000.5, (2010.0, 1500.25), (0.06, -0.04), (-0.25, 0.05), (1.5, 0.4, 0.0))
+    pose = Pose.looking_at((3, -2, 25), (0.4, 0.1, 0), 0.2)
+    rig = Rig(lens, {"b.png": pose}, 11.52, "cm", "sheet", {"b.png": 0.25}, {"c.jpg": "blurred"})
+    back = json.loads(json.dumps(rig_to_json(rig)))
+    assert back["lens"] == {"size": [4032, 3024], "focal": 3000.5, "centre": [2010.0, 1500.25],
+                            "distortion": [0.06, -0.04], "vignetting": [-0.25, 0.05],
+                            "flash": [1.5, 0.4, 0.0]}
+    assert back["poses"] == {"b.png": {"position": pose.position.tolist(),
+                                       "rotation": pose.rotation.tolist()}}
+    assert (back["size"], back["unit"], back["source"]) == (11.52, "cm", "sheet")
+    assert (back["errors"], back["rejected"], back["notes"]) == ({"b.png": 0.25}, {"c.jpg": "blurred"}, [])

@@ -76,52 +76,6 @@ def test_rubbish_in_exif_costs_no_photo(tmp_path):
         assert Photo.open(tmp_path / "e.jpg").size == (60, 40)
 
 
-@pytest.mark.parametrize("kind", ["grey", "alpha", "palette", "16 bits", "16 bits grey"])
-def test_kinds_of_png(kind, tmp_path):
-    path, expected = tmp_path / "a.png", picture()
-    if kind == "grey":
-        expected = np.repeat(picture()[..., 1:2], 3, axis=2)
-        Image.fromarray(picture()[..., 1]).save(path)
-    elif kind == "alpha":
-        Image.fromarray(np.dstack((expected, np.full((40, 60), 90, np.uint8)))).save(path)
-    elif kind == "palette":
-        image = Image.fromarray(expected).quantize(256)
-        expected = np.asarray(image.convert("RGB"))
-        image.save(path)
-    else:
-        expected = picture().astype(np.uint16) * 257 + 3
-        expected = np.repeat(expected[..., :1], 3, axis=2) if "grey" in kind else expected
-        cv2.imwrite(str(path), expected[..., 0] if "grey" in kind else expected[..., ::-1])
-    pixels = Photo.open(path).pixels()
-    assert pixels.dtype == expected.dtype and np.array_equal(pixels, expected)
-
-
-def test_a_grey_jpeg(tmp_path):
-    grey = Image.fromarray(picture()).convert("L")
-    grey.save(tmp_path / "a.jpg", quality=95)
-    found = Photo.open(tmp_path / "a.jpg").pixels()
-    assert np.abs(found.astype(int) - np.asarray(grey)[..., None]).max() <= 3  # measured: 1
-
-
-@pytest.mark.parametrize("suffix", [".jpg", ".png"])
-def test_damaged_files_are_named(suffix, tmp_path):
-    noise = np.random.default_rng(0).integers(0, 255, (200, 300, 3), dtype=np.uint8)
-    whole = saved(tmp_path / f"whole{suffix}", noise).path.read_bytes()
-    for name, data in {"cut": whole[: len(whole) // 2], "empty": b"", "text": b"no picture at all"}.items():
-        path = tmp_path / f"{name}{suffix}"
-        path.write_bytes(data)
-        with pytest.raises(CaptureError, match=name + suffix):
-            Photo.open(path).pixels()
-    with pytest.raises(CaptureError, match="missing"):
-        Photo.open(tmp_path / f"missing{suffix}")
-
-
-def test_many_pixels_are_no_bomb(tmp_path, monkeypatch, recwarn):
-    monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 500)  # Pillow warns above, and refuses above twice that
-    photo = saved(tmp_path / "a.jpg")
-    assert photo.pixels().shape == (40, 60, 3) and Image.MAX_IMAGE_PIXELS == 500 and not recwarn.list
-
-
 def test_smaller_pixels_are_block_averages(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), picture(41, 60)[..., ::-1])
     small = Photo.open(tmp_path / "a.png").pixels(most=20)

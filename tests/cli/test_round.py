@@ -168,13 +168,6 @@ def test_evaluate_and_render_remember_how_the_fit_saw_its_photos(shots, tmp_path
     assert json.loads(figures.read_text())["rerender_rmse"] == pytest.approx(expected, rel=1e-5)
 
 
-def test_help_shows_the_options_of_the_method(capsys):
-    with pytest.raises(SystemExit):
-        cli.main(["fit", "--method", "gan", "--help"])
-    text = capsys.readouterr().out
-    assert "--preset" in text and "--flash-offset" not in text
-
-
 @pytest.mark.parametrize("command, resumes", [("fit", True), ("crosscheck", False), ("stability", False)])
 def test_only_a_fit_goes_on_after_ctrl_c(command, resumes, monkeypatch, capsys):
     def interrupted(*_, **__):

@@ -17,21 +17,14 @@ from fuzz.warm import Warm
 
 @dataclass
 class Tally:
-    """What came of the cases of a group.
+    """What came of the cases of a group."""
 
-    Args:
-        tried: how many.
-        failed: by cause, the cases and the file of the first, as small as it could be made.
-        seconds: the wall clock's.
-        cpu: seconds of it, of the commands alone.
-        peak: resident bytes beside the imports, of the hungriest.
-    """
-
-    tried: int = 0
+    tried: int = 0  # how many
+    # by cause, the cases and the file of the first, as small as it could be made
     failed: dict[str, list[Path | None]] = field(default_factory=dict)
-    seconds: float = 0.0
-    cpu: float = 0.0
-    peak: int = 0
+    seconds: float = 0.0  # the wall clock's
+    cpu: float = 0.0  # seconds of it, of the commands alone
+    peak: int = 0  # resident bytes beside the imports, of the hungriest
 
     @property
     def held(self) -> int:
@@ -47,13 +40,8 @@ class Tally:
 
 
 class Campaign:
-    """Warm processes, and a place for their cases.
-
-    Args:
-        folder: to work in.
-        processes: how many cases run at a time.
-        kept: where files of cases that failed go.
-        entry: what the processes run; see :mod:`fuzz.warm`.
+    """Warm processes that run ``entry`` (see :mod:`fuzz.warm`), and a folder for their cases; files of those
+    that failed go to ``kept``.
     """
 
     def __init__(self, folder: Path, processes: int, kept: Path, entry: str = "fuzz.entry") -> None:

@@ -26,23 +26,14 @@ KNOWN = Path(__file__).with_name("cases")  # each broke a rule once
 
 @dataclass(frozen=True)
 class Case:
-    """One call of the command line.
+    """One call of the command line."""
 
-    Args:
-        group: what is wrong in it.
-        parts: the good files, folders that lie in ``in/``.
-        changes: what is done to them, in order; see :mod:`fuzz.changes`.
-        arguments: of the command, called in the folder ``work``.
-        out: the only file or folder that the command may change.
-        lasting: whether an option may make it take long; it is interrupted then.
-    """
-
-    group: str
-    parts: tuple[str, ...]
-    changes: tuple[Mapping, ...]
-    arguments: tuple[str, ...]
-    out: str = "work/out"
-    lasting: bool = False
+    group: str  # what is wrong in it
+    parts: tuple[str, ...]  # the good files, folders that lie in in/
+    changes: tuple[Mapping, ...]  # what is done to them, in order; see fuzz.changes
+    arguments: tuple[str, ...]  # of the command, called in the folder work
+    out: str = "work/out"  # the only file or folder that the command may change
+    lasting: bool = False  # whether an option may make it take long; it is interrupted then
 
     @classmethod
     def read(cls, path: Path) -> Case:
@@ -69,17 +60,11 @@ class Case:
 
 @dataclass(frozen=True)
 class Result:
-    """What came of a case.
+    """What came of a case."""
 
-    Args:
-        wrong: the rules it broke, in words; empty where they hold.
-        said: what the command printed.
-        answer: of :meth:`Warm.run`.
-    """
-
-    wrong: list[str]
-    said: str
-    answer: dict = field(default_factory=dict)
+    wrong: list[str]  # the rules it broke, in words; empty where they hold
+    said: str  # what the command printed
+    answer: dict = field(default_factory=dict)  # of Warm.run
 
     @property
     def cause(self) -> str:
@@ -95,13 +80,8 @@ class Result:
 
 
 def run(case: Case, good: Path, folder: Path, warm: Warm) -> Result:
-    """Make the files of a case in a new folder, run its command, and judge.
-
-    Args:
-        case: the case.
-        good: folder of the good files, by the names of parts.
-        folder: to work in; taken away afterwards.
-        warm: what runs the command.
+    """Make the files of a case, of the ``good`` ones, in a new folder that is taken away afterwards; run its
+    command, and judge.
     """
     box, said = folder / "box", folder / "said"
     try:

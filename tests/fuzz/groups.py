@@ -254,11 +254,7 @@ CALLS = tuple(call.strip() for call in f"""
 
 
 def options(known: dict[str, tuple[str, ...]]) -> Drawn[Case]:
-    """Options of every command with values that no one should give.
-
-    Args:
-        known: options by command, as ``--help`` lists them.
-    """
+    """Options of every command, ``known`` from its ``--help``, with values that no one should give."""
     text = st.text(st.characters(exclude_characters="/~.\0", exclude_categories=["Cs"]), max_size=9)
 
     value = st.one_of(st.sampled_from(WORDS), st.sampled_from(WORDS), text)

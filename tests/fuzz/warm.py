@@ -29,12 +29,8 @@ TESTS, ROOT = Path(__file__).resolve().parents[1], Path(__file__).resolve().pare
 
 
 class Warm:
-    """A warm process.
-
-    Args:
-        entry: the module.
-        home: folder for what programs keep for a user, Dr.Jit's compiled kernels say.
-        number: that tells it from others.
+    """A warm process that runs the module ``entry``; ``home`` takes what programs keep for a user, Dr.Jit's
+    compiled kernels say.
     """
 
     def __init__(self, entry: str, home: Path, number: int = 0) -> None:
@@ -49,19 +45,9 @@ class Warm:
 
     def run(self, arguments: Sequence[str], folder: Path, said: Path, temporary: Path, seconds: float,
             grace: float) -> dict:
-        """Run a command.
-
-        Args:
-            arguments: of the command line.
-            folder: where it is called.
-            said: file that takes what it prints.
-            temporary: TMPDIR.
-            seconds: when it gets SIGINT.
-            grace: how much later SIGKILL.
-
-        Returns:
-            ``code`` (negative: the signal that ended it), ``signals`` that were sent, ``seconds``, ``cpu``
-            (seconds of it), and ``peak``, resident bytes beside the imports.
+        """Run a command in ``folder``; file ``said`` takes what it prints, SIGINT comes after ``seconds``,
+        SIGKILL ``grace`` later. Returns ``code`` (negative: the signal that ended it), ``signals`` that
+        were sent, ``seconds``, ``cpu`` (seconds of it), and ``peak``, resident bytes beside the imports.
         """
         assert self._process.stdin
         request = {"arguments": arguments, "folder": str(folder), "said": str(said),

@@ -54,15 +54,11 @@ def publish(results: ResultStore, result: Material, attempt: str = "one",
 
 
 class FakeTasks:
-    """Tasks in this process, see :class:`mitsvbrdf.batch.tasks.RayTasks`.
+    """Tasks in this process, ``slots`` at a time, see :class:`mitsvbrdf.batch.tasks.RayTasks`.
 
-    A deed is what becomes of a task: a state (``done`` publishes a result first), ``published, crashed``,
-    ``claimed`` (says done, and there is nothing), ``held`` (until it is cancelled).
-
-    Args:
-        results: where results appear.
-        deeds: by a capture's name, one an attempt, the last one for all later ones; ``done`` by default.
-        slots: how many run at a time.
+    A deed, by a capture's name one an attempt, is what becomes of a task: a state (``done``, the default,
+    publishes a result first), ``published, crashed``, ``claimed`` (says done, and there is nothing), ``held``
+    (until it is cancelled).
     """
 
     def __init__(self, results: ResultStore, deeds: Mapping[str, Sequence[str]] | None = None,

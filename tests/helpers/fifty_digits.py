@@ -29,18 +29,9 @@ Maps = dict[str, list]
 
 def texel_sum(svbrdf: SVBRDF, views: Views, row: int, column: int, cotangent: list) -> tuple[mpf,
                                                                                              dict[str, list]]:
-    """One texel's radiance in all views times fixed numbers, summed, and the derivative of the sum by its
-    maps.
-
-    Args:
-        svbrdf: the material; what its float32 values stand for is taken exactly.
-        views: camera and light positions.
-        row: of the texel.
-        column: of the texel.
-        cotangent: the numbers, N x 3, nested lists.
-
-    Returns:
-        The sum, and by map name a list of as many derivatives as the map has channels.
+    """One texel's radiance in all views times the numbers ``cotangent``, N x 3, summed; and by map name the
+    derivatives of the sum by the map's channels. What the material's float32 values stand for is taken
+    exactly.
     """
     with mp.workdps(DIGITS):
         maps = {name: [mpf(x) for x in value[row, column].tolist()] for name, value in svbrdf.maps.items()}

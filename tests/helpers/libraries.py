@@ -86,14 +86,9 @@ def picture(seed: int, side: int = 128) -> bytes:
 
 
 def write_library(folder: Path, rows: list[dict], pictures: int | None = None, **more: object) -> Path:
-    """The page of a library in a folder, with pictures and small reports; give the path of ``index.html``.
-
-    Args:
-        folder: to write into.
-        rows: of the library; the path of a row's picture beyond ``pictures`` is changed to that of an earlier
-            one.
-        pictures: how many there are at most; left out, one a row.
-        more: of the library, beside ``materials``.
+    """The page of a library of ``rows`` in a folder, with pictures and small reports; give the path of
+    ``index.html``. Beyond ``pictures`` (one a row if left out), a row's picture is that of an earlier one;
+    ``more``: of the library, beside ``materials``.
     """
     drawn: list[str] = []
     for k, row in enumerate(rows):

@@ -18,12 +18,8 @@ console.log(JSON.stringify(calls.map(([name, args]) => eval(name)(...args))));
 
 
 def called(scripts: Sequence[str], calls: Sequence[tuple[str, list]], timezone: str = "UTC") -> list:
-    """What functions of scripts give, all in one process; the test is skipped where node is not installed.
-
-    Args:
-        scripts: their paths inside the package.
-        calls: name and arguments of each.
-        timezone: of the machine that the page is looked at on.
+    """What functions of scripts, named by paths inside the package, give for ``calls`` (name, arguments), all
+    in one process in a ``timezone``; the test is skipped where node is not installed.
     """
     node = shutil.which("node") or pytest.skip("needs node on PATH")
     text = "".join(files("mitsvbrdf").joinpath(script).read_text(encoding="utf-8") for script in scripts)

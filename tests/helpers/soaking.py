@@ -44,11 +44,9 @@ WORK = {"gradients": with_gradients, "images": without_gradients, "preview": wit
 
 def soak(renderers, bsdf, work, steps, resolution=64):
     """Run steps of renderers in turn, each with three moving views, co-located and apart: two kernels each.
-
-    Returns:
-        ``slope`` (MiB of memory per 100 steps), ``late`` (steps that made a kernel after each was asked for
-        twice), ``variables`` (Dr.Jit's, more than after warm-up), ``milliseconds`` (of a step, medians of the
-        first and the last tenth after warm-up).
+    Returns ``slope`` (MiB of memory per 100 steps), ``late`` (steps that made a kernel after each was
+    asked for twice), ``variables`` (Dr.Jit's, more than after warm-up), ``milliseconds`` (of a step,
+    medians of the first and the last tenth after warm-up).
     """
     gc.collect()  # kernels call every BSDF that lives: scenes freed on the way would have them made again
     turn = 2 * len(renderers)

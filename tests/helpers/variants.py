@@ -10,9 +10,6 @@ import pytest
 def mostly_slow(values: Iterable, *quick: object) -> list:
     """Values for ``parametrize``; those that are not named as quick, by themselves or by their first one, are
     marked slow.
-
-    Raises:
-        AssertionError: a quick one is no value.
     """
     found, names = [], set()
     for value in values:

@@ -27,7 +27,7 @@ def decoded(path, error):
 
 def encoded(kind, pixels=PIXELS, **options):
     data = io.BytesIO()
-    Image.fromarray(pixels).save(data, kind, **options)
+    (pixels if isinstance(pixels, Image.Image) else Image.fromarray(pixels)).save(data, kind, **options)
     return data.getvalue()
 
 
@@ -51,8 +51,12 @@ WHOLE = {"jpeg": encoded("JPEG"), "progressive": encoded("JPEG", quality=30, pro
          "grey": encoded("JPEG", PIXELS[..., 0]), "colour in full": encoded("JPEG", subsampling=0),
          "one pixel": encoded("JPEG", PIXELS[:1, :1]), "odd": encoded("JPEG", PIXELS[:7, :41]),
          "png": encoded("PNG"), "png of one pixel": encoded("PNG", PIXELS[:1, :1]),
-         "16 bits": encoded("PNG", PIXELS.astype(np.uint16)[..., 0] * 256), "more behind": encoded("JPEG")
-         + b"what phones write behind a picture" * 50}
+         "alpha": encoded("PNG", np.dstack((PIXELS, PIXELS[..., 0]))),
+         "grey png": encoded("PNG", PIXELS[..., 0]),
+         "palette": encoded("PNG", Image.fromarray(PIXELS).quantize(256)),
+         "16 bits": encoded("PNG", PIXELS.astype(np.uint16)[..., 0] * 256),
+         "16 bits of colour": cv2.imencode(".png", PIXELS * np.uint16(257) + np.uint16(3))[1].tobytes(),
+         "more behind": encoded("JPEG") + b"what phones write behind a picture" * 50}
 
 
 @pytest.mark.filterwarnings("error")

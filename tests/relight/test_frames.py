@@ -11,7 +11,7 @@ import sys
 import numpy as np
 import pytest
 import torch
-from helpers.relit import pictures, srgb
+from helpers.stages import pictures, srgb
 from helpers.unfinished import unfinished
 from PIL import Image
 

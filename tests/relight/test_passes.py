@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
-from helpers.relit import srgb
+from helpers.stages import srgb
 
 from mitsvbrdf.errors import ConfigError, MapsError
 from mitsvbrdf.material.made import make_material

@@ -1,11 +1,17 @@
 """Curves lie where their numbers say."""
 
+import base64
+import io
 import math
 
+import numpy as np
+import PIL.Image
 import pytest
+import torch
 
 from mitsvbrdf.report.charts import error_curve
 from mitsvbrdf.report.curves import curves
+from mitsvbrdf.report.pictures import picture_uri
 
 
 def test_curves_are_logarithmic():
@@ -39,3 +45,18 @@ def test_error_curve_is_the_same_file_in_every_run(tmp_path):
     assert (tmp_path / "b.svg").read_bytes() == (tmp_path / "a.svg").read_bytes()
     error_curve(tmp_path / "empty.svg", [[]])
     assert "<svg" in (tmp_path / "empty.svg").read_text()
+
+
+def test_pictures_that_would_be_large_become_jpegs():
+    noise = torch.rand(256, 256, 3, generator=torch.Generator().manual_seed(0))
+    smooth = torch.linspace(0, 1, 256)[:, None, None].expand(256, 256, 1)
+
+    def decoded(uri):
+        return np.asarray(PIL.Image.open(io.BytesIO(base64.b64decode(uri.split(",", 1)[1]))).convert("RGB"))
+
+    assert picture_uri(noise).startswith("data:image/jpeg")
+    assert picture_uri(smooth).startswith("data:image/png")
+    assert np.array_equal(decoded(picture_uri(smooth))[:, 0, 0], np.arange(256))
+    # Measured RMSE of noise, of 255: 15 in every channel; 74 with the colours at half the size.
+    errors = decoded(picture_uri(noise)).astype(float) - 255 * noise.numpy()
+    assert np.sqrt(np.mean(errors**2, axis=(0, 1))).max() < 20

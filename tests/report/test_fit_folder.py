@@ -124,15 +124,9 @@ def test_a_fit_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
                 write_fit(fixed, shots, place, pages=False, overwrite=True)
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
     assert not (tmp_path / "new").exists() and (out / "uncertainty/roughness.exr").is_file()
-    with pytest.raises(OutputError, match="has results"):
-        write_fit(fixed, shots, out, pages=False)
     write_fit(fixed, shots, out, pages=False, overwrite=True)
     assert not (out / "uncertainty/roughness.exr").exists()
     assert Fit.of_maps(out).svbrdf["roughness"].unique().item() == 0.5
-    (out / "maps/mine.psd").write_text("mine")
-    with pytest.raises(OutputError, match="mine.psd"):
-        write_fit(found, shots, out, pages=False, overwrite=True)
-    assert (out / "maps/mine.psd").read_text() == "mine"
 
 
 def test_a_page_is_not_written_beside_another_fit(copy, monkeypatch):

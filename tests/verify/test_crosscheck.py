@@ -90,13 +90,6 @@ def test_a_broken_renderer_is_named(spoil, named):
         assert v["renderer"] == "broken" and v["value"] > v["tolerance"]
 
 
-def test_signed_bias_tells_too_bright_from_noise():
-    (configuration,) = check(brighter)["configurations"]
-    assert configuration["rough"]["image"]["bias"] == pytest.approx(1e-5, rel=0.1)
-    gradients = configuration["rough"]["gradients"].values()
-    assert all(g["bias"] == pytest.approx(1e-5, rel=0.1) for g in gradients)
-
-
 def test_a_gradient_where_there_is_none_is_named():
     # Without a specular lobe, roughness changes nothing.
     record = check(gradient_where_none_is, flat(16, specular=0.0))
