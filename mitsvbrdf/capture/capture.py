@@ -46,8 +46,11 @@ def converted(stated: Mapping[str, Profile | None], outside: Mapping[str, float]
             more = f" and {len(those) - 1} more photos" if those[1:] else ""
             warnings.warn(f"{those[0]}{more}: {profile.name} cannot be used ({profile.reason}); the values "
                           "are taken as sRGB; export the photos as sRGB", InputWarning, stacklevel=2)
-    return {profile.name: Converted(len(those), sum(outside[name] for name in those) / len(those))
-            for profile, those in names.items() if not profile.reason}
+    alike: dict[str, list[float]] = {}  # profiles of one name may differ, as in when they were made
+    for profile, those in names.items():
+        if not profile.reason:
+            alike.setdefault(profile.name, []).extend(outside[name] for name in those)
+    return {name: Converted(len(shares), sum(shares) / len(shares)) for name, shares in alike.items()}
 
 
 def notes_of(colours: Mapping[str, Converted]) -> list[str]:

@@ -13,9 +13,16 @@ from helpers.colour_files import save_in
 from helpers.stated_captures import json_capture, text_capture
 
 from mitsvbrdf.capture import read_capture, write_capture
+from mitsvbrdf.capture.capture import Converted, converted
 from mitsvbrdf.errors import InputWarning
+from mitsvbrdf.io.colour_profile import Profile
 
 SHOWN = np.random.default_rng(0).uniform(0.2, 0.8, (16, 16, 3))
+
+
+def test_profiles_of_one_name_are_counted_together():
+    stated = {"a": Profile("P3", b"1"), "b": Profile("P3", b"2"), "c": None}
+    assert converted(stated, {"a": 0.0, "b": 0.5, "c": 0.0}) == {"P3": Converted(2, 0.25)}
 
 
 def test_what_was_converted_is_told_once_and_kept(tmp_path):

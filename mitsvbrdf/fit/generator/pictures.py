@@ -52,7 +52,11 @@ class Pictures:
             P x 3 x R x R in display values, above 1 where a rendering is too bright and its photo is not
             clipped.
         """
-        return _displayed(rendered.clamp(*self.limits), self.weights, self.transfer)
+        least, greatest = self.limits
+        seen, bound = rendered.clamp(least, greatest), greatest < torch.inf
+        if not bound.all():  # in memory as the photos are, else as rendered: the bits of sums hang on it
+            seen = torch.where(bound, seen, rendered)
+        return _displayed(seen, self.weights, self.transfer)
 
 
 class PictureSource:
