@@ -88,7 +88,7 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
     usual = float(np.median(list(errors.values())))
     notes = [unsure_note(focal)] if focal > UNSURE and not still else []
     if usual > LARGE * max(size):
-        so = (": no better were they rectified, and the patch is cut out" if still else
+        so = (": the photos were rectified no better than that" if still else
               ", and all views as uncertain as that: flatten the sheet, and take all photos with one lens")
         notes.append(f"the tags of all photos are some {usual:.1f} pixels beside where those of a flat "
                      f"sheet would be{so}")
