@@ -6,13 +6,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from tyro.conf import Positional, arg
 
 from ..errors import ConfigError
 from ..io import files
-from ..io.progress import print_rich, progress_bar, say, say_written
+from ..io.progress import figures_table, print_rich, progress_bar, say, say_written
 from ..material.maps import Bsdf
 from ..render import RENDERERS, make_renderer
 from ..views import shift_lights
@@ -105,10 +104,8 @@ def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
     count = rows[0]["materials"]
     bound = f"{'>=' if texels == 'rough' else '<'} {record['rough_from']}"
     of = f", worst of {count} materials" if count > 1 else ""
-    table = Table("", title=f"{bsdf}, texels of roughness {bound}{of}", title_justify="left", box=SIMPLE_HEAD,
-                  padding=(0, 1, 0, 0), pad_edge=False)
-    for heading in ("tolerance", "float32 limit", *(row["renderer"] for row in rows)):
-        table.add_column(heading, justify="right", no_wrap=True)
+    table = figures_table(f"{bsdf}, texels of roughness {bound}{of}",
+                          ["tolerance", "float32 limit", *(row["renderer"] for row in rows)])
     stated = record["tolerances"] if texels == "rough" else {"image": {}, "gradients": {}}
 
     def add(label: str, tolerance: float | None, limit: float | None, values: list[float | None],

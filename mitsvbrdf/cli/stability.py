@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from typing import Annotated, Literal
 
-from rich.box import SIMPLE_HEAD
 from rich.table import Table
 from tyro.conf import arg
 
 from ..io import files
-from ..io.progress import print_rich, progress_bar, say, say_written
+from ..io.progress import figures_table, print_rich, progress_bar, say, say_written
 from ..render import RENDERERS, make_renderer
 from .options import JsonFile, Overwrite, Variant, check_new_files
 
@@ -55,10 +54,7 @@ def stability(
 
 def _table(title: str, rows: list[dict], renderers: list[str]) -> Table:
     """Verdict and largest error of each renderer, and the effect of one rounding; 80 columns."""
-    table = Table("", title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0),
-                  pad_edge=False)
-    for name in (*renderers, "rounding"):
-        table.add_column(name, justify="right", no_wrap=True)
+    table = figures_table(title, [*renderers, "rounding"])
     for row in rows:
         cells = [(found["verdict"], _largest(found.get("errors", {}))) for found in row["renderers"].values()]
         table.add_row(row["label"], *(f"[{VERDICT_COLOURS[word]}]{word}[/]{error}" for word, error in cells),

@@ -73,16 +73,11 @@ def named_views(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[
 
 def predict(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
             flash_offset: tuple[float, float] | None) -> tuple[Tensor, float, list[float]]:
-    """Photos that a fit did not use, from their views and the flash offset that all its photos share.
+    """Photos that a fit did not use, from their views and the flash offset, (x, y) in patch sides or None,
+    that all its photos share.
 
-    Args:
-        capture: the N photos left out.
-        renderer: draws them, one at a time.
-        flash_offset: (x, y) of the flash beside the lens in patch sides, as the fit found it, or None.
-
-    Returns:
-        Linear radiance N x R x R x 3; RMSE over all in display values, as
-        :func:`mitsvbrdf.evaluate.evaluate_capture` finds it; and that of each.
+    Gives linear radiance N x R x R x 3; RMSE over all in display values, as
+    :func:`mitsvbrdf.evaluate.evaluate_capture` finds it; and that of each.
     """
     material, lit = svbrdf.resized(capture.resolution), shift_lights(capture.views, flash_offset)
     found = [rerender(renderer, material, lit.pick([k]), capture.pick([number]))

@@ -88,16 +88,10 @@ def _outside(pixels: np.ndarray, profile: Profile) -> float:
 
 
 def to_rec709(pixels: np.ndarray, chromaticities: Sequence[float]) -> np.ndarray:
-    """Linear pixels of these chromaticities (x, y of red, green, blue, white) in those of Rec. 709.
+    """Linear pixels, H x W x 3, of these chromaticities (x, y of red, green, blue, white) in those of Rec.
+    709.
 
-    Another white is adapted by Bradford's matrix, so white stays (1, 1, 1).
-
-    Args:
-        pixels: H x W x 3, float.
-        chromaticities: eight numbers.
-
-    Raises:
-        ValueError: they span no colours.
+    Another white is adapted by Bradford's matrix, so white stays (1, 1, 1). ValueError: they span no colours.
     """
     cones = [BRADFORD @ (np.array((x, y, 1 - x - y)) / y) for x, y in (chromaticities[6:], REC709[6:])]
     adapted = np.linalg.inv(BRADFORD) @ np.diag(cones[1] / cones[0]) @ BRADFORD

@@ -94,15 +94,11 @@ def header(path: Path, error: type[MitsvbrdfError]) -> Header:
 
 
 def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Picture:
-    """A PNG, JPEG, TIFF, WebP or HEIC file; grey is repeated.
+    """A PNG, JPEG, TIFF, WebP or HEIC file by its content, whatever its name; grey is repeated.
 
-    Args:
-        path: the file; what it is stands in its content, not in its name.
-        error: raised where the file is missing, too large, cut short, or damaged beyond reading.
-        data: its numbers are no colours, and stay as they are.
-
-    Warns:
-        InputWarning: a JPEG is damaged; its decoder made up what it could not read.
+    ``error`` is raised where it is missing, too large, cut short, or damaged beyond reading; a JPEG whose
+    decoder made up what it could not read is an InputWarning. ``data``: its numbers are no colours, and stay
+    as they are.
     """
     about = header(path, error)
     with _named(path, error):

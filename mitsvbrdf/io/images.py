@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -201,16 +201,21 @@ def unmasked(opaque: np.ndarray, side: int) -> np.ndarray:
 
 def write_exr(path: Path, image: Tensor) -> None:
     """A float32 EXR of an H x W x 3 (R, G, B) or H x W x 1 (Y) tensor, ZIP-compressed."""
+    pixels = np.ascontiguousarray(image.detach().to(torch.float32).numpy())
+    write_channels(path, {"RGB": pixels} if pixels.shape[2] == 3 else {"Y": pixels[..., 0]})
+
+
+def write_channels(path: Path, channels: Mapping[str, np.ndarray]) -> None:
+    """A ZIP-compressed EXR of named channels."""
     import OpenEXR
 
-    pixels = np.ascontiguousarray(image.detach().to(torch.float32).numpy())
-    channels = {"RGB": pixels} if pixels.shape[2] == 3 else {"Y": np.ascontiguousarray(pixels[..., 0])}
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    planes = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
     with atomic_write(path) as temporary:
         try:
-            OpenEXR.File(header, channels).write(str(temporary))
+            OpenEXR.File(header, planes).write(str(temporary))
         except RuntimeError as reason:  # what OpenEXR makes of a full disk; plain bytes tell its number
-            temporary.write_bytes(pixels.tobytes())
+            temporary.write_bytes(b"".join(map(bytes, planes.values())))
             raise OSError(str(reason)) from None
 
 

@@ -6,10 +6,11 @@ import contextlib
 import math
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, TextIO
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.live import Live
 from rich.table import Column, Table
@@ -144,6 +145,15 @@ def print_rich(*what: Any, **style: Any) -> None:
                 column.overflow = "fold"
     with contextlib.suppress(OSError, ValueError):
         console.print(*what, **style)
+
+
+def figures_table(title: str, headings: Sequence[str]) -> Table:
+    """A table without rows yet: what each one is called, and figures below these headings."""
+    table = Table("", title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0),
+                  pad_edge=False)
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    return table
 
 
 def several(count: int, one: str) -> str:

@@ -50,15 +50,11 @@ def burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
 def local_burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
     """How much of ``specular`` and ``roughness`` lies in ovals of single highlights, at most 1.
 
-    For each photo three Gaussian bumps in the tangent of the half vector's angle, 0.5, 1 and 2 times as wide
-    as a lobe of the map's median roughness. With R^2 the share of a map's variance that all bumps together
-    explain, and R0^2 its mean for the map rolled sideways by 20 offsets: (R^2 - R0^2) / (1 - R0^2). Around 0,
-    and as often below, where nothing is burnt in.
-
-    Args:
-        svbrdf: the material, of which 64 x 64 area averages are looked at; a principled one by its specular
-            map.
-        views: those of the photos that the fit used.
+    For each photo that the fit used three Gaussian bumps in the tangent of the half vector's angle, 0.5, 1
+    and 2 times as wide as a lobe of the map's median roughness. With R^2 the share of a map's variance that
+    all bumps together explain, and R0^2 its mean for the map rolled sideways by 20 offsets: (R^2 - R0^2) / (1
+    - R0^2). Around 0, and as often below, where nothing is burnt in. 64 x 64 area averages are looked at, of
+    a principled material those of its specular map.
     """
     looks = _looks(svbrdf.detach().resized(min(LOCAL_SIDE, svbrdf.resolution)))
     maps = torch.stack(list(looks.values()))

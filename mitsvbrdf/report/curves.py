@@ -15,17 +15,11 @@ MOST_POINTS = 1000  # of a line; of a longer trace only every so many are shown
 
 
 def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
-    """The named columns of a trace against its seconds, both logarithmic.
+    """The named columns of a trace (one dict a measurement) against its ``seconds``, both logarithmic.
 
-    Logarithmic axes omit points at 0 seconds and values that are not positive or not finite.
-
-    Args:
-        trace: one dict a measurement, with ``seconds``.
-
-    Returns:
-        ``width`` and ``height``, the ``frame`` (left, top, right, bottom), ``x`` and ``y`` as (place, label)
-        of each tick, and ``lines``: ``name``, ``colour``, ``points`` (x, y, seconds, value), ``marked``; None
-        without a point.
+    Logarithmic axes omit points at 0 seconds and values that are not positive or not finite. Gives ``width``
+    and ``height``, the ``frame`` (left, top, right, bottom), ``x`` and ``y`` as (place, label) of each tick,
+    and ``lines``: ``name``, ``colour``, ``points`` (x, y, seconds, value), ``marked``; None without a point.
     """
     rows = list(trace[::max(1, math.ceil(len(trace) / MOST_POINTS))])
     rows += [trace[-1]] if trace and rows[-1] is not trace[-1] else []

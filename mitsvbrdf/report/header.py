@@ -22,15 +22,11 @@ QUICK, FULL = 256, 512  # pixels of the sphere
 
 
 def header(found: Fit, quick: bool) -> dict:
-    """Picture, verdict and textures of a fit.
+    """Picture, verdict and textures of a fit; ``quick``: a smaller picture.
 
-    Args:
-        quick: a smaller picture.
-
-    Returns:
-        ``picture`` (an address, or None where Mitsuba cannot run), ``good`` and ``verdict``; ``file`` and
-        ``archive``, name and address of a zip of textures, and the ``side`` of these in texels; ``metres``,
-        side of the patch or None.
+    Gives ``picture`` (an address, or None where Mitsuba cannot run), ``good`` and ``verdict``; ``file`` and
+    ``archive``, name and address of a zip of textures, and the ``side`` of these in texels; ``metres``, side
+    of the patch or None.
     """
     try:
         picture = picture_uri(sphere(found.svbrdf, QUICK if quick else FULL))

@@ -51,12 +51,11 @@ def encode(name: str, value: np.ndarray, coding: str) -> tuple[dict, list[bytes]
     and high, so a constant channel is exact. Of x the value is, by coding, ``square``: x^2 (colours: even
     steps for the eye), ``plain``: x, ``octahedral``: the unit vector z > 0 of two channels, s = x + y, t = x
     - y over |x| + |y| + |z| (Cigolle et al. 2014, hemi-octahedral), off by at most 3.8e-5 rad wherever it
-      points.
+    points.
 
-    Returns:
-        ``{"name", "coding", "top", "height", "width", "low": [...], "high": [...]}``, and of each channel H x
-        W high bytes, then H x W low bytes, row 0 at the top. In the page all planes follow one another,
-        deflated in zlib's format.
+    First comes ``{"name", "coding", "top", "height", "width", "low": [...], "high": [...]}``, then of each
+    channel H x W high bytes, then H x W low bytes, row 0 at the top. In the page all planes follow one
+    another, deflated in zlib's format.
     """
     if coding == "octahedral":
         x, y = np.moveaxis(value[..., :2], -1, 0) / np.abs(value).sum(-1)

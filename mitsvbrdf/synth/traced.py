@@ -28,16 +28,11 @@ AMBIENT_SAMPLES = 16  # samples a pixel where light comes from everywhere
 
 
 class HandheldRenderer:
-    """Photos of a square sample in z = 0 on a grey table, lit by a flash or from everywhere.
+    """Photos of a square sample of ``side`` cm in z = 0 on a grey table, lit by a flash or from everywhere.
 
     The maps are read bilinearly. Light arrives straight from the flash, with shadows; light reflected twice
-    is left out.
-
-    Args:
-        side: of the sample in cm.
-        sheet: a :class:`mitsvbrdf.capture.align.sheet.Sheet` that lies on it, or None.
-        depth: of the sample under the sheet in cm.
-        samples: rays a pixel, stratified and jittered: 1, 4, 16, ...
+    is left out. A :class:`mitsvbrdf.capture.align.sheet.Sheet` may lie on the sample, ``depth`` cm above it.
+    ``samples``: rays a pixel, stratified and jittered: 1, 4, 16, ...
     """
 
     def __init__(self, svbrdf: SVBRDF, side: float, sheet: Sheet | None = None, depth: float = 0.0,

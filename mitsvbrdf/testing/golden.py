@@ -18,7 +18,7 @@ from torch import Tensor
 
 from .. import color
 from ..errors import ConfigError, MapsError
-from ..io import files
+from ..io import images
 from ..material.maps import SVBRDF, TITLES, shown_map
 from ..measure.metrics import flip as flip_error
 from . import running
@@ -148,14 +148,6 @@ def _read(path: Path) -> Layers:
 
 
 def _write(path: Path, layers: Layers) -> None:
-    import OpenEXR
-
-    channels = {f"{layer}.{letter}".lstrip("."): value[..., k].contiguous().numpy()
-                for layer, value in layers.items()
-                for k, letter in enumerate("RGB" if value.shape[-1] == 3 else "Y")}
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    with files.atomic_write(path) as temporary:
-        try:
-            OpenEXR.File(header, channels).write(str(temporary))
-        except RuntimeError as reason:  # what OpenEXR makes of a full disk
-            raise OSError(str(reason)) from None
+    images.write_channels(path, {f"{layer}.{letter}".lstrip("."): value[..., k].numpy()
+                                 for layer, value in layers.items()
+                                 for k, letter in enumerate("RGB" if value.shape[-1] == 3 else "Y")})

@@ -34,7 +34,6 @@ def shots(tmp_path, monkeypatch):
 
 
 def found(*names):
-    """The folders' names and options."""
     return [(os.path.basename(entry.source), *entry.own) for entry in captures(names)]
 
 

@@ -38,7 +38,6 @@ def batch(tmp_path):
 
 
 def ended(made):
-    """States by name."""
     return {each.name: each.state for each in made.library.shown().values()}
 
 

@@ -38,7 +38,6 @@ def names(found):
 
 
 def do(results, found):
-    """Let all results appear."""
     for each in found.work:
         publish(results, result_of(each, date=now()), each.folder)
         results.forget(each.folder)

@@ -49,7 +49,6 @@ def wait(until, seconds=300.0):
 
 
 def again(shots):
-    """The same command, to its end."""
     return subprocess.run(chaos.command(shots, Path("library"), SIDE, 2), capture_output=True,
                           text=True).returncode
 

@@ -40,7 +40,6 @@ def shot(diffuse, f0=0.0, roughness=0.3, views=GRID, normal=(0.0, 0.0, 1.0)):
 
 
 def rms(a, b):
-    """Root mean square of display values, as map errors are counted."""
     return float((color.encode(a.double()) - color.encode(b.double())).square().mean().sqrt())
 
 

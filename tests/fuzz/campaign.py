@@ -57,7 +57,6 @@ class Campaign:
         make(self.good)
 
     def close(self) -> None:
-        """End the processes."""
         for _ in range(self._count):
             self._idle.get().close()
 

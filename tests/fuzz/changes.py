@@ -59,7 +59,6 @@ def flip(folder: Path, under: str, nth: int, at: int, bit: int) -> None:
 
 @_change
 def cut(folder: Path, under: str, nth: int, at: int) -> None:
-    """Let a file end early."""
     path = _file(folder, under, nth)
     if path.exists():
         os.truncate(path, at % (path.stat().st_size + 1))
@@ -92,7 +91,6 @@ def copy(folder: Path, source: str, nth: int, path: str) -> None:
 
 @_change
 def absent(folder: Path, path: str) -> None:
-    """Take a file or folder away."""
     target = folder / path
     if target.is_dir() and not target.is_symlink():
         shutil.rmtree(target)
@@ -118,7 +116,6 @@ def pipe(folder: Path, path: str) -> None:
 
 @_change
 def folder(folder: Path, path: str) -> None:
-    """Put a folder in the place of a file."""
     absent(folder, path)
     (folder / path).mkdir(parents=True)
 

@@ -23,7 +23,6 @@ def warm() -> None:
 
 
 def main() -> int:
-    """The command of ``sys.argv``."""
     from mitsvbrdf.__main__ import main as run
 
     return run()

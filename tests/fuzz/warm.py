@@ -59,7 +59,6 @@ class Warm:
         return answer | {"peak": max(0, answer["peak"] - self._imports)}
 
     def close(self) -> None:
-        """End the process."""
         self._process.communicate()
 
     def _answer(self) -> dict:

@@ -15,7 +15,6 @@ def warm() -> None:
 
 
 def main() -> int:
-    """Do what the first argument says."""
     deeds = {
         "nothing": lambda: 0, "refuse": lambda: print("error: no") or 2, "interrupted": lambda: 130,
         "one": lambda: 1,

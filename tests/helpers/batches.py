@@ -32,7 +32,6 @@ def make_capture(folder: Path, photos: Sequence[bytes] = (b"one", b"two")) -> Pa
 
 def asked(capture: Path, config: FitConfig | None = None, tags: tuple[str, ...] = (),
           **options: object) -> Asked:
-    """A capture with what is asked for."""
     config = config or HierarchicalConfig(budget=10.0)
     return Asked(Entry(str(capture)), config, FitOptions(**options), False, tags)  # type: ignore[arg-type]
 

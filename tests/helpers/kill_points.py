@@ -50,7 +50,6 @@ def write(folder: Path, content: dict[str, str]) -> None:
 
 
 def tree(out: Path) -> dict[str, str]:
-    """All files of a result."""
     return {str(path.relative_to(out)): path.read_text() for path in sorted(out.rglob("*")) if path.is_file()}
 
 

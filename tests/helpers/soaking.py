@@ -29,7 +29,6 @@ def with_gradients(renderer, material, views, between=lambda: None):
 
 
 def without_gradients(renderer, material, views):
-    """A picture alone."""
     with torch.no_grad():
         renderer.render(material, views)
 
@@ -88,6 +87,5 @@ def kernels_made():
 
 
 def variables():
-    """Live variables of Dr.Jit."""
     drjit = sys.modules.get("drjit")
     return len(re.findall(r"^ +\d+ +(?:LLVM|CUDA) ", drjit.whos(True), re.MULTILINE)) if drjit else 0

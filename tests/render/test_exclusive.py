@@ -123,7 +123,6 @@ def test_a_forward_pass_in_one_thread_goes_backward_in_another(name):
 
 
 def arrays():
-    """How many arrays Dr.Jit has."""
     import drjit as dr
 
     return len(dr.whos(as_string=True).splitlines())

@@ -35,7 +35,6 @@ def test_trouble_is_told(copy):
 
 
 def changed(**fields):
-    """Spoils some fields of fit.json."""
     return lambda out: (out / "fit.json").write_text(
         json.dumps(json.loads((out / "fit.json").read_text()) | fields))
 

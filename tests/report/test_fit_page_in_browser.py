@@ -31,7 +31,6 @@ def larger(tmp_path_factory):
 
 @contextmanager
 def read(path, **how):
-    """The page with its laboratory open."""
     with opened(path, **how) as page:
         page.evaluate("document.querySelector('.laboratory').open = true")
         yield page

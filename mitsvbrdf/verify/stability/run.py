@@ -37,15 +37,11 @@ ABOVE_ROUNDING = 1e-5
 @entry(gradients=True)
 def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEPS),
               report: Report = lambda text, share: None) -> dict:
-    """Run sweeps and give a verdict on each configuration and renderer.
+    """Run sweeps, keys of :data:`SWEEPS`, and give a verdict on each configuration and renderer; float64 is
+    there without being asked for.
 
-    Args:
-        renderers: from :func:`mitsvbrdf.render.make_renderer`; float64 is there without being asked for.
-        sweeps: keys of :data:`SWEEPS`.
-
-    Returns:
-        A record for JSON, without NaN; docs/results/stability.md shows it. ``violations`` lists what came out
-        worse than expected.
+    Gives a record for JSON, without NaN; docs/results/stability.md shows it. ``violations`` lists what came
+    out worse than expected.
     """
     cases = [case for key in sweeps for case in SWEEPS[key][1]()]
     rows = []
@@ -160,15 +156,12 @@ def verdict(figures: Mapping, limit: Mapping[str, float], clamps: Sequence[str] 
             known: tuple[float, str] | None = None) -> tuple[str, str]:
     """A key of :data:`VERDICTS`, and why.
 
-    Args:
-        figures: ``errors``, the relative L2 error of ``image`` and each map's gradient, None for infinite;
-            ``not_finite`` and ``silenced``, how many values by the same names; or ``refused``, the error
-            message, alone.
-        limit: what one rounding of every normal changes
-            (:func:`mitsvbrdf.verify.float32_limits.float32_limit`), by the names of ``errors``; empty where
-            it was not looked at. Measured errors reach a third of it where nothing else is wrong.
-        clamps: names of the cuts that act.
-        known: the largest error that is known and explained, and its cause.
+    ``figures`` are ``errors``, the relative L2 error of ``image`` and each map's gradient, None for infinite;
+    ``not_finite`` and ``silenced``, how many values by the same names; or ``refused``, the error message,
+    alone. ``limit`` is what one rounding of every normal changes
+    (:func:`mitsvbrdf.verify.float32_limits.float32_limit`), by the names of ``errors``; empty where it was
+    not looked at: measured errors reach a third of it where nothing else is wrong. ``clamps``: names of the
+    cuts that act; ``known``: the largest error that is known and explained, and its cause.
     """
     if "refused" in figures:
         return "refused", figures["refused"]

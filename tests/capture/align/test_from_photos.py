@@ -70,7 +70,6 @@ def test_photos_left_alone_by_few_features_are_compared_by_all(nine, monkeypatch
 
 
 def quarter(pose):
-    """The phone turned by 90 degrees."""
     return Pose(pose.position, np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) @ pose.rotation)
 
 
