@@ -15,7 +15,7 @@ from ..capture import Capture
 from ..errors import ConfigError
 from ..fit import FitTask, fit_svbrdf
 from ..fit.checkpoint import load_tensors
-from ..fit.confidence import DETERMINED, confidence
+from ..fit.confidence import DETERMINED
 from ..fit.config import FitConfig
 from ..fit.generator.detail import why_not, with_detail
 from ..fit.methods import METHODS, method_name
@@ -174,12 +174,16 @@ def _say_result(result: Fit, shots: Capture, before: int | None) -> None:
         say(f"settled after {result.trace[-1]['seconds']:.0f} s: it ended by itself, before its limit")
     if shots.views.falloff == "none":
         say("scene.xml has a light that falls off with the distance; this fit's did not")
-    sure = [f"{name} ±{found['median_sd']:.3f} ({found['determined_share']:.0%} determined)"
-            for name, found in confidence(result.deviations).items()]
-    say(f"how sure: {', '.join(sure)}")
-    say("±: median standard deviation of a texel, maps counted from 0 to 1, colours as linear^(1/2.2), "
-        f"normals as (n + 1) / 2; determined: texels below ±{DETERMINED:g} by their own photos alone; the "
-        "others follow texels that look alike")
+    sure = result.record["confidence"]
+    told = [f"{name} ±{found['median_sd']:.3f} ({found['determined_share']:.0%} determined)"
+            for name, found in sure.items()]
+    say(f"how sure: {', '.join(told)}")
+    if result.deviations_with_look_alikes:
+        say("with look-alikes: " + ", ".join(f"{name} ±{each['with_look_alikes']:.3f}"
+                                             for name, each in sure.items()))
+    say("±: median deviation by a texel's own photos, maps counted from 0 to 1, colours as linear^(1/2.2), "
+        f"normals as (n + 1) / 2; determined: texels below ±{DETERMINED:g}; the others follow texels that "
+        "look alike")
     for warning in result.warnings:
         say(f"warning: {warning}")
 

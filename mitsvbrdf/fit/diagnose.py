@@ -13,13 +13,16 @@ from torch import Tensor
 from ..calibrate.estimate import ESTIMATED, POWER, EstimatedViews
 from ..calibrate.refine import CHANGE
 from ..capture import Capture
+from ..errors import BackendError
 from ..io.profile import profile_seconds, profiled
 from ..io.provenance import machine, versions
 from ..material.maps import COLOURS, SVBRDF
 from ..measure.burn_in import burn_in, local_burn_in
 from ..measure.rerender import rerender
+from ..render.needs import Omitted
 from ..views import Views, shift_lights
-from .confidence import UNKNOWN, confidence, deviations
+from .confidence import UNKNOWN, Deviations, confidence, deviations
+from .hierarchical.rounds import Hierarchical
 from .light_power import light_power_told, with_light_power
 from .loop import Loop
 from .methods import method_name
@@ -31,22 +34,16 @@ from .warnings import fit_warnings
 
 
 def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -> Fit:
-    """The fit that a loop ended with.
-
-    Args:
-        task: what was fitted.
-        loop: after it ran; its best state is the result.
-        stopped: why it ended.
-        notes: of the photos before the views were estimated.
-    """
+    """The fit that a loop ended with; ``notes`` are those of the photos before views were estimated."""
     capture, renderer, config, method = task.capture, task.renderer, task.config, loop.method
     assert loop.best is not None
     _, svbrdf, views = loop.best
-    images, total, each, spreads = _looked_at(svbrdf, views, task)
-    told = light_power_told(svbrdf, spreads) if task.light_power_unknown else None
+    basis = method.scales.basis if isinstance(method, Hierarchical) else None
+    images, total, each, spreads, alike = _looked_at(svbrdf, views, task, basis)
+    told = light_power_told(svbrdf, alike or spreads) if task.light_power_unknown else None
     if told:
         svbrdf, views = with_light_power(svbrdf, told), replace(views, intensity=views.intensity * told)
-        images, total, each, spreads = _looked_at(svbrdf, views, task)
+        images, total, each, spreads, alike = _looked_at(svbrdf, views, task, basis)
     # Of all photos: where each has a camera and a flash of its own besides, they move around what is common.
     moved = (views.light - views.camera) - (capture.views.light - capture.views.camera)
     x, y = (moved.mean(dim=0)[:2] / views.size).tolist()
@@ -58,12 +55,13 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
         "renderer": renderer.name, "variant": renderer.variant, "bsdf": svbrdf.bsdf,
         "rerender_rmse": total, "per_photo": dict(zip(capture.names, each)),
         "calibrated_rmse": calibrated_rmse,
-        "confidence": confidence(spreads), "burn_in": burn_in(svbrdf, views),
+        "confidence": confidence(spreads, alike), "burn_in": burn_in(svbrdf, views),
         "local_burn_in": local_burn_in(svbrdf, views), "warnings": [],
         "stopped": stopped, "undone_steps": len(loop.undone), "undone": list(loop.undone),
         "seconds": loop.trace[-1]["seconds"], "iterations": loop.trace[-1]["iteration"],
         "seed": config.seed, "config": asdict(config) | {"fix": list(config.fix)}, "command": {},
-        "omitted": [each._asdict() for each in (*omitted_by(task, views), *method.omitted)],
+        "omitted": [each._asdict() for each in (*omitted_by(task, views), *method.omitted, *(
+            [] if spreads else [Omitted("deviations", "no Mitsuba")]))],
         "used": [{"what": what, "how": how} for what, how in used(task)],
         "capture": {"name": capture.source.name if capture.source else None, "photos": list(capture.index),
                     "resolution": capture.resolution, "transfer": capture.transfer,
@@ -76,19 +74,24 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
         "versions": versions(), "machine": machine(), "trace": loop.trace}
     fit = Fit(record, known={"svbrdf": svbrdf, "views": views, "guess": task.guess, "photos": capture.photos,
                              "rerendered": images, "deviations": spreads, "config": config, "detail": None,
+                             "deviations_with_look_alikes": alike,
                              "capture": capture.source.name if capture.source else ""})
     return fit.but(warnings=(*capture.notes[len(notes):], *fit_warnings(fit, capture)))
 
 
-def _looked_at(svbrdf: SVBRDF, views: Views, task: FitTask) -> tuple[Tensor, float, list[float],
-                                                                     dict[str, Tensor]]:
-    """Re-rendered photos, their error, that of each photo, and the deviations of the maps."""
+def _looked_at(svbrdf: SVBRDF, views: Views, task: FitTask, basis: Tensor | None
+               ) -> tuple[Tensor, float, list[float], Deviations, Deviations]:
+    """Re-rendered photos, their error, that of each photo; deviations alone and with look-alikes."""
     images, total, each = rerender(task.renderer, svbrdf, views, task.capture)
     with profiled("uncertainty"):
-        spreads = deviations(svbrdf, views, images, task)
+        try:
+            both = deviations(svbrdf, views, task, basis)
+        except BackendError:  # the analytic renderer needs no Mitsuba, and deviations do
+            both = {}, {}
     if task.light_doubted:  # colours are as sure as the light
-        spreads |= {name: torch.full_like(spreads[name], UNKNOWN) for name in COLOURS if name in spreads}
-    return images, total, each, spreads
+        for spreads in both:
+            spreads |= {name: torch.full_like(spreads[name], UNKNOWN) for name in COLOURS if name in spreads}
+    return images, total, each, *both
 
 
 def _stated_views(capture: Capture, views: Views, offset: tuple[float, float],
@@ -103,24 +106,15 @@ def _stated_views(capture: Capture, views: Views, offset: tuple[float, float],
 
 def views_record(capture: Capture, views: Views, estimated: EstimatedViews | None, refined: Tensor | None,
                  flash: Tensor | None, light_power_factor: float | None = None) -> dict:
-    """What a fit knows of its views and how surely, lengths in patch sides, for ``fit.json``.
+    """What a fit knows of its views and how surely, in patch sides, for ``fit.json`` (docs/formats.md).
 
     Args:
         capture: the photos, with the views that the fit began with.
         views: as fitted.
         estimated: how the former were estimated from the photos; None where they were stated.
-        refined: standard deviations N x 7 of the changes since (:data:`mitsvbrdf.calibrate.refine.CHANGE`);
-            None for none.
-        flash: standard deviations (x, y) of the flash offset that all photos share; None where it was not
-            fitted.
-        light_power_factor: by what the maps changed the light power (:mod:`mitsvbrdf.fit.light_power`); None
-            where they do not tell it.
-
-    Returns:
-        ``from`` (the kind of calibration), ``estimated`` and ``refined`` (whether), by photo name ``camera``,
-        ``camera_sd`` and ``log_exposure_sd``; ``flash_offset`` and ``flash_offset_sd``; ``light_power``, the
-        mean over photos and channels, ``power_told`` and ``log_power_sd``, None where a calibration or a
-        sheet tells it. Other deviations are None where nothing was estimated.
+        refined: standard deviations N x 7 of the changes since (:data:`mitsvbrdf.calibrate.refine.CHANGE`).
+        flash: standard deviations (x, y) of the flash offset that all photos share, where it was fitted.
+        light_power_factor: by what the maps changed the light power (:mod:`mitsvbrdf.fit.light_power`).
     """
     sides, begun = views.in_patch_sides(), capture.views.in_patch_sides()
     told = [ESTIMATED.unpack(estimated.deviation)] if estimated else []
@@ -142,11 +136,7 @@ def _together(deviations: list[Tensor]) -> list:
 
 
 def about_views(calibration: Mapping) -> str:
-    """Where the views of a fit come from and how sure they are, in words; empty where it is unknown.
-
-    Args:
-        calibration: see :func:`views_record`.
-    """
+    """Where the views of :func:`views_record` come from and how sure they are, in words; empty if unknown."""
     if not calibration:
         return ""
     said = FROM["estimated" if calibration["estimated"] else calibration["from"]]

@@ -14,7 +14,7 @@ import torch
 from torch import Tensor
 
 from ..material.maps import DIELECTRIC_F0, SVBRDF, WHITEST
-from .confidence import DETERMINED
+from .confidence import DETERMINED, of_texels
 
 METAL = 0.2  # F0 from which on a texel is no dielectric
 MOST_TEXELS = 0.5  # share of the texels that must tell
@@ -23,14 +23,11 @@ MOST_TEXELS = 0.5  # share of the texels that must tell
 def light_power_told(svbrdf: SVBRDF, deviations: Mapping[str, Tensor]) -> float | None:
     """By what the light power is to be multiplied, and the maps divided; None where too few texels tell.
 
-    Args:
-        svbrdf: fitted maps, all with a freedom of their own; of ``principled`` F0 is known, and nothing is
-            told.
-        deviations: of the maps, as :func:`mitsvbrdf.fit.confidence.deviations` finds them.
+    ``principled`` knows F0, and tells nothing.
     """
     if svbrdf.bsdf != "roughconductor" or not {"diffuse", "specular"} <= set(deviations):
         return None
-    sure = deviations["specular"].square().mean(dim=-1).sqrt()
+    sure = of_texels(deviations["specular"])
     level = svbrdf.resized(sure.shape[0])["specular"].mean(dim=-1)
     told = (sure < DETERMINED) & (level > 0) & (level < METAL)  # no lobe tells nothing
     if float(told.float().mean()) < MOST_TEXELS:

@@ -8,6 +8,7 @@ from . import losses
 from .config import HierarchicalConfig, HybridConfig
 from .fixed_maps import described, unknown_but
 from .gan_config import GanConfig
+from .posterior import step_of
 from .task import FitTask
 
 # Of the methods that solve every texel by itself.
@@ -27,6 +28,8 @@ def omitted_by(task: FitTask, views: Views | None = None) -> list[Omitted]:
     material = unknown_but(task.fixed, config.bsdf, task.capture.resolution, config.grey_specular)
     items = list(scene_needs(material, views or task.capture.views, task.renderer.name).omitted)
     items += [Omitted(f"gradient of {name}", why) for name, why in described(config.fix).items()]
+    if (step := step_of(task.capture.resolution)) > 1:
+        items.append(Omitted(f"deviations but for every {step}th texel", "between, they are interpolated"))
     if "diffuse" in task.fixed:
         items.append(Omitted("guessed diffuse map", "diffuse held fixed"))
     items += [Omitted(losses.NAMES[name], why) for name, why in task.unused.items()]

@@ -29,6 +29,7 @@ from .record import FILE, SCHEMA_VERSION, Fact, checked, missing, record_in
 
 _FACTS = ("rerender_rmse", "calibrated_rmse", "renderer", "variant", "warnings", "stopped", "trace",
           "profile")  # fields of the record that :meth:`Fit.but` changes there
+ALIKE = "with-look-alikes"  # folder of deviations that count look-alikes
 T = TypeVar("T")
 
 
@@ -36,10 +37,8 @@ T = TypeVar("T")
 class Fit:
     """A fit, in memory or from its folder: what ``fit.json`` says, and arrays, read on first use.
 
-    Maps that came without a fit have an empty record.
-
     Args:
-        record: what ``fit.json`` holds; docs/formats.md explains each field.
+        record: what ``fit.json`` holds (docs/formats.md); empty for maps that came without a fit.
         path: its folder; of a fit in memory the working folder.
         known: attributes that are in memory, by name.
     """
@@ -142,10 +141,18 @@ class Fit:
 
     @cached_property
     def deviations(self) -> Mapping[str, Tensor]:
-        """Standard deviation of each fitted map by name, r x r x C, r <= 64; in a folder C is 1 (RMS)."""
-        return self._or("deviations", lambda: {
-            name: self._image(f"uncertainty/{name}.exr")[..., :1] for name in self.record["confidence"]
-            if (self.path / f"uncertainty/{name}.exr").is_file()})
+        """Deviation of fitted maps by own photos: r x r x C, r <= 64; in a folder R x R x 1 (RMS)."""
+        return self._deviations("deviations", "uncertainty")
+
+    @cached_property
+    def deviations_with_look_alikes(self) -> Mapping[str, Tensor]:
+        """The same with look-alikes, which is the error to expect; empty where texels share nothing."""
+        return self._deviations("deviations_with_look_alikes", f"uncertainty/{ALIKE}")
+
+    def _deviations(self, kind: str, of: str) -> Mapping[str, Tensor]:
+        return self._or(kind, lambda: {
+            name: self._image(f"{of}/{name}.exr")[..., :1] for name in self.record["confidence"]
+            if (self.path / f"{of}/{name}.exr").is_file()})
 
     def _images(self, of: str, suffix: str) -> Tensor:
         names = [f"{of}/{name}.{suffix}" for name in self.names] if of not in self.known else []
@@ -234,8 +241,7 @@ class Fit:
     @property
     def falloff(self) -> Falloff:
         """Falloff of its light; inverse-square when unknown."""
-        return self._or("falloff",
-                        lambda: self.record["views"]["falloff"] if self.record else "inverse-square")
+        return self._or("falloff", lambda: self.record.get("views", {}).get("falloff", "inverse-square"))
 
     @property
     def flash_offset(self) -> tuple[float, float] | None:
@@ -274,13 +280,9 @@ class Fit:
 
 
 def write_record(folder: Path, fit: Fit, command: dict, stored: Mapping[str, SVBRDF]) -> Fit:
-    """Write ``fit.json`` with the options of the command line in it.
+    """Write ``fit.json`` with the options of the command line in it, or raise OutputError.
 
-    Returns:
-        The fit as it is in that folder; ``stored`` holds its maps as :func:`save_maps` left them.
-
-    Raises:
-        OutputError: it cannot be written.
+    Returns the fit as it is in that folder; ``stored`` holds its maps as :func:`save_maps` left them.
     """
     written = Fit(fit.record | {"command": command}, folder, {**fit.known, **stored})
     files.write_json(folder / FILE, written.record)

@@ -11,13 +11,12 @@ from torch import Tensor
 from ..capture import Capture
 from ..color import CLIPPED
 from ..measure.burn_in import LOCAL_SIDE, burn_in, local_burn_in
-from .confidence import DETERMINED, confidence
+from .confidence import DETERMINED, of_texels
 from .config import HierarchicalConfig
 from .fixed_maps import described
 from .result import Fit
 
-# Behind each number, what twelve real captures of nine photos had, fitted with `hybrid` and `direct` at 64
-# px.
+# Behind each number, what twelve real captures of nine photos had (`hybrid` and `direct`, 64 px).
 MUCH_CLIPPED = 0.05  # of the pixels; eleven had up to 0.015, one 0.08
 ALIKE = 2 / 255  # display values, root mean square
 DARK = 8 / 255  # display values, median
@@ -26,23 +25,16 @@ USABLE = 0.1  # share of the pixels that must be neither dark nor clipped, to sp
 # diffuse albedo, and the share of texels that may have it; ten had 0, two 0.3 and more
 WHITE, WHITE_SHARE = 0.97, 0.1
 FAINT = 0.015  # F0, median; eleven had 0.0156 and more, one 0.013. Water has 0.02, and nothing known less
-# Median F0 beyond an ordinary non-metal's (0.02 to 0.08), and the share of it that must be determined to
-# believe that; of eighteen fits to seven photos one had 0.31 with a fifth of it determined, the others 0.1
-# and less, or were determined.
+# Median F0 beyond a usual non-metal's, and the share of it to be determined to believe that; of eighteen
+# fits to seven photos one had 0.31 with a fifth determined, the others 0.1 and less, or were determined.
 STRONG, HARDLY = 0.1, 0.5
-# share of the texels that may reflect more than arrives; three of the eighteen had 0.28 to 0.55, the rest 0
-MORE_SHARE = 0.1
+MORE_SHARE = 0.1  # of texels that reflect more than arrives; three of the eighteen had 0.28 to 0.55, others 0
 ASIDE = 0.05  # patch sides from the middle that count as beside it
-# pixels a side at which photos are compared with each other; the closest two of the eighteen are 4.6 / 255
-# apart
-COARSE = 64
+COARSE = 64  # px at which photos are compared; the closest two of the eighteen are 4.6 / 255 apart
 WORSE = 2.5  # times the median error of a photo; 1.1 to 2.3
 POOR = 0.1  # re-rendering RMSE
-# share of specular or roughness that lies as the highlights do; ten had up to 0.18, the two of wood 0.4 to
-# 0.74
-BURNT_IN = 0.3
-# the same of single highlights; known materials under the views of six captures have 0.13 at most
-OVALS = 0.2
+BURNT_IN = 0.3  # share of a map that lies as the highlights do; ten had up to 0.18, two of wood 0.4 to 0.74
+OVALS = 0.2  # the same of single highlights; known materials under the views of six captures have up to 0.13
 
 
 def fit_warnings(result: Fit, capture: Capture) -> Iterator[str]:
@@ -111,8 +103,8 @@ def _light(result: Fit, capture: Capture) -> Iterator[str]:
     white = float((material["diffuse"].amax(dim=-1) > WHITE).float().mean())
     if white > WHITE_SHARE:
         yield f"{white:.0%} of the diffuse map is as white as can be: the light may be stronger than stated"
-    specular, sure = float(material["specular"].median()), confidence(result.deviations).get("specular")
-    if sure and sure["determined_share"] > 0.25 and 0 < specular < FAINT:
+    specular, spread = float(material["specular"].median()), result.deviations.get("specular")
+    if spread is not None and (of_texels(spread) < DETERMINED).float().mean() > 0.25 and 0 < specular < FAINT:
         yield (f"specular of {specular:.2g} is below that of any known material: the light may be "
                "weaker than stated")
 
@@ -122,14 +114,18 @@ def _implausible(result: Fit) -> Iterator[str]:
     material, fixed = result.svbrdf.as_roughconductor(), described(result.config.fix)
     spread = result.deviations.get("specular")
     if spread is not None and "specular" not in fixed:
-        unsure = spread.square().mean(dim=-1).sqrt() >= DETERMINED
+        unsure = of_texels(spread) >= DETERMINED
         level, share = float(material["specular"].median()), 1 - float(unsure.float().mean())
         if level > STRONG and share < HARDLY:
             yield (f"median specular (F0) of {level:.2g}, {share:.0%} of it determined: a metal's, or a "
                    "guess. Add a photo "
                    f"with its highlight {_place(unsure)}, or --fix specular=0.04 where it is no metal")
     if not {"diffuse", "specular"} & set(fixed):
-        more = float(((material["diffuse"] + material["specular"]).amax(dim=-1) > 1).float().mean())
+        above = (material["diffuse"] + material["specular"]).amax(dim=-1) > 1
+        more, white = float(above.float().mean()), above & (material["diffuse"].amax(dim=-1) > WHITE)
+        if white.any() and more <= MORE_SHARE:
+            yield (f"single texels ({int(white.sum())}) are white in the diffuse map and reflect more than "
+                   "arrives: they are wrong, as those of metal are now and then")
         if more > MORE_SHARE:
             yield (f"{more:.0%} of the texels reflect more than arrives (diffuse + specular above 1): the "
                    "light may be stronger than stated, or try --fix specular=0.04 where it is no metal")

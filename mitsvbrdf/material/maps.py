@@ -190,3 +190,18 @@ def shown_map(name: str, value: Tensor) -> Tensor:
     if name == "normal":
         return (value + 1) / 2
     return color.to_display(value, "srgb") if name in COLOURS else value
+
+
+def numbers_of(name: str, value: Tensor) -> Tensor:
+    """A map in the numbers errors are counted in; of a normal, x and y."""
+    if name == "normal":
+        return (value[..., :2] + 1) / 2
+    return color.encode(value) if name in COLOURS else value
+
+
+def map_of(name: str, numbers: Tensor) -> Tensor:
+    """The inverse of :func:`numbers_of`."""
+    if name == "normal":
+        flat = numbers * 2 - 1
+        return torch.cat((flat, (1 - flat.square().sum(dim=-1, keepdim=True)).clamp_min(1e-4).sqrt()), dim=-1)
+    return color.decode(numbers) if name in COLOURS else numbers

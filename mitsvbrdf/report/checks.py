@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from functools import partial
 
-import torch
 from torch import Tensor
 
 from .. import color
@@ -20,14 +18,12 @@ from ..measure.metrics import image_error
 from ..render import RENDERERS, Renderer, make_renderer
 from ..render.needs import Needs
 from ..verify.crosscheck import crosscheck
-from ..verify.stability.conditioning import condition, jacobian
 from ..views import Views
 
 SCHEMA_VERSION = 1
 QUICK_SIDE, QUICK_VIEWS = 64, 2  # what a fit checks beside its own work: below half a second
 # texels a side; errors and ratios hardly hang on it. Float64 takes 50 MB a view
 LARGEST, MOST_VIEWS = 256, 25
-CONDITION_SIDE = 16
 
 
 def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names: Sequence[str],
@@ -56,10 +52,7 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
     saved = None if quick or renderer is None else _saved(
         svbrdf.resized(side), shown, renderer, fixed, grey_specular,
         lambda share: report("what was saved", 0.7 + 0.3 * share))
-    coarse = svbrdf.resized(min(CONDITION_SIDE, svbrdf.resolution)).to(torch.float64)
-    slopes = jacobian(make_renderer("analytic64"), coarse, views, partial(color.encode, transfer=transfer))
     return {"schema_version": SCHEMA_VERSION, "quick": quick, "maps": maps,
-            "condition": condition(slopes) | {"resolution": coarse.resolution},
             "crosscheck": checked and _figures(checked, timed=not quick), "saved": saved,
             "machine": machine(), "versions": versions()}
 

@@ -17,7 +17,7 @@ from ..capture import Capture
 from ..errors import CaptureError, MapsError, OutputError
 from ..evaluate import placed
 from ..evaluate.placement import predict
-from ..fit.confidence import UNKNOWN
+from ..fit.confidence import UNKNOWN, of_texels
 from ..fit.diagnose import about_views
 from ..fit.result import Fit
 from ..io import Report, files, images
@@ -70,8 +70,7 @@ def write_report(fit: Fit | str | Path, quick: bool = False, held_out: Capture |
             Where the capture states no views, also those that it used: all help to place the others.
         into: the folder to write to, whose photos come before those of the fit's; left out: the fit's.
 
-    Returns:
-        What ``report.json`` holds.
+    Returns what ``report.json`` holds.
 
     Raises:
         MapsError: not the folder of a fit.
@@ -167,9 +166,9 @@ def _maps(found: Fit) -> list[dict]:
     maps = []
     for name in CHANNELS[found.svbrdf.bsdf]:
         spread = found.deviations.get(name)
-        sure = None if spread is None else spread.square().mean(dim=-1).sqrt() / UNKNOWN
+        sure = None if spread is None else at_most(of_texels(spread)[..., None] / UNKNOWN, LARGEST_MAP)
         maps.append({"name": name, "title": TITLES[name], "picture": _map_uri(name, found.svbrdf[name]),
-                     "spread": None if sure is None else picture_uri(magma(sure))})
+                     "spread": None if sure is None else picture_uri(magma(sure[..., 0]))})
     there = (found.path / "guess" / "diffuse.exr").is_file()
     if there and "diffuse" not in found.fixed:  # else it is that map
         maps.append({"name": None, "title": "Guessed diffuse", "spread": None,

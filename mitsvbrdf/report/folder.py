@@ -8,14 +8,15 @@ from .. import color
 from ..capture import Capture
 from ..errors import OutputError
 from ..export.mitsuba import write_scene
-from ..fit.confidence import confidence
-from ..fit.result import Fit, write_record
+from ..fit.confidence import of_texels
+from ..fit.result import ALIKE, Fit, write_record
 from ..io import images
 from ..io.entry import entry
 from ..io.images import write_linear
 from ..io.progress import say
 from ..io.results import output_folder
 from ..material.map_files import DETAIL, save_maps
+from ..material.resample import enlarged
 from .fit_page import check_apart, keep_photos, write_report
 from .header import material_name
 from .overview import write_sheet
@@ -58,9 +59,10 @@ def write_fit_files(result: Fit, capture: Capture, out: Path, command: dict | No
     stored = {"svbrdf": save_maps(result.svbrdf, out / "maps")}
     if result.detail:
         stored["detail"] = save_maps(result.detail, out / DETAIL)
-    for name, spread in result.deviations.items():
-        images.write_exr(out / "uncertainty" / f"{name}.exr",
-                         spread.square().mean(dim=-1, keepdim=True).sqrt())
+    for folder, spreads in ((".", result.deviations), (ALIKE, result.deviations_with_look_alikes)):
+        for name, spread in spreads.items():  # between every k-th texel, interpolated
+            images.write_exr(out / "uncertainty" / folder / f"{name}.exr",
+                             enlarged(of_texels(spread)[None], result.svbrdf.resolution)[0, ..., None])
     written = write_record(out, result, command or {}, stored)
     if pages:
         _write_pages(result, written, capture, out, held_out)
@@ -74,7 +76,7 @@ def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_ou
     for name, linear, display in pictures:
         write_linear(out / name, linear, display)
     title = f"{material_name(result)}: {result.method}, {result.svbrdf.bsdf}"
-    sure = confidence(result.deviations)
+    sure = result.record["confidence"]
     remarks = {name: f"{sure[name]['determined_share']:.0%} determined" if name in sure else "held fixed"
                for name in result.svbrdf.maps}
     title = title.encode(errors="replace").decode()  # of a folder whose name is not UTF-8

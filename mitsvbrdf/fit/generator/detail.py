@@ -23,13 +23,12 @@ from ... import color
 from ...capture import Capture
 from ...io.entry import entry
 from ...io.signals import stop_signals
-from ...material.maps import SVBRDF
+from ...material.maps import SVBRDF, map_of, numbers_of
 from ...material.resample import resized
 from ...measure.rerender import rerender
 from ...render import Renderer
 from ...views import Views, geometry
 from .. import losses
-from ..confidence import map_of, numbers_of
 from ..detail_config import DetailConfig
 from ..method import cosine, descend
 from ..parameters import ROUGHNESS_RANGE, STREAMS

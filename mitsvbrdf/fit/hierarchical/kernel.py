@@ -40,12 +40,10 @@ class Kernel:
 
     Args:
         mi: the ``mitsuba`` module with the variant to use.
-        bsdf: the parameter set.
-        unknowns: of a texel.
+        bsdf, unknowns: of a texel.
         needs: what to compute.
         side: texels a side.
-        falloff: as of :class:`mitsvbrdf.views.Views`.
-        transfer: how the photos' display values encode light.
+        falloff, transfer: of views and photos.
     """
 
     def __init__(self, mi: ModuleType, bsdf: Bsdf, unknowns: Unknowns, needs: Needs, side: int,
@@ -132,14 +130,7 @@ class Kernel:
 
 
 class Texels:
-    """The texels at one x, and what each photo says of them there.
-
-    Args:
-        kernel: what is traced.
-        problem: of the kernel.
-        x: the unknowns.
-        kind: of float that sums are made in.
-    """
+    """The texels at one x, and what each photo says of them there; sums are made in this kind of float."""
 
     def __init__(self, kernel: Kernel, problem: dict, x: list, kind: Any) -> None:
         import drjit as dr

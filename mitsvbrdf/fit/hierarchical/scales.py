@@ -53,12 +53,7 @@ class Scale:
 class Scales:
     """Photos at full size, and two kinds of coarse ones: every k-th pixel, and area averages.
 
-    Args:
-        capture: the photos at full size.
-        guess: guessed diffuse map, at full size.
-        fixed: maps held fixed, at full size.
-        config: settings.
-        variant: of Mitsuba.
+    Photos, guessed diffuse map and maps held fixed come at full size.
     """
 
     def __init__(self, capture: Capture, guess: Tensor, fixed: Mapping[str, Tensor],

@@ -147,12 +147,9 @@ class TexelSolver:
 
         Args:
             observations: the photos.
-            x: where to start, U x R x R, within the bounds.
+            x: where to start, U x R x R, within the bounds ``low`` and ``high`` (U numbers each).
             damping: R x R, relative to the diagonal of the normal equations; 0.01 is a fair start.
-            mean: of the prior, U x R x R.
-            precision: of the prior (1 / variance), U x R x R; 0 for none.
-            low: lowest value of each unknown, U numbers.
-            high: the highest.
+            mean, precision: of the prior (1 / variance), U x R x R; 0 for none.
             iterations: steps to take.
         """
         side = x.shape[-1]
@@ -166,10 +163,7 @@ class TexelSolver:
     def variances(self, observations: Observations, x: Tensor, precision: Tensor) -> Tensor:
         """The unknowns' variances given the photos: the diagonal of (J^T W J + precision)^-1, U x R x R.
 
-        Args:
-            observations: the photos.
-            x: the unknowns, U x R x R.
-            precision: of the prior, U x R x R, above 0 where the photos alone do not determine an unknown.
+        The prior's precision is above 0 where the photos alone do not determine an unknown.
         """
         return self.posterior(observations, x, precision)[0]
 

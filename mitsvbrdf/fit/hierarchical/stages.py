@@ -51,9 +51,7 @@ EASED = 0.75
 class Stages:
     """Where the fit stands: a stage, rounds of it begun, and the noise of the round under way.
 
-    Args:
-        multi_start: whether exact photos are fitted from other starts too.
-        stated: whether the photos are exact; None where what is left unexplained tells.
+    Exact photos may have a ``multi_start``; ``stated`` says whether they are, None that their errors tell.
     """
 
     def __init__(self, multi_start: bool, stated: bool | None = None) -> None:
@@ -162,13 +160,7 @@ def unexplained(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Render
     """Structure and RMSE of the errors in display values of usable pixels: two numbers.
 
     Structure is the root of the mean product of neighbouring errors: sensor noise has none, a wrong model
-    has.
-
-    Args:
-        svbrdf: the material found, R x R.
-        views: as fitted.
-        capture: the photos, N x R x R.
-        renderer: of the material.
+    has. The material found has R x R texels, and so have the photos.
     """
     with torch.no_grad():
         images = renderer.render(svbrdf, views)
