@@ -72,8 +72,9 @@ by own photos is larger than its error.
 
 {sure}
 
-By the texel's own photos, as `fit` counts. What stays wrong: answers of metals are off in one direction, so \
-many of their errors lie a little beyond one deviation, and few beyond three.
+By the texel's own photos, as `fit` counts. What stays wrong: answers of metal whose highlight no photo shows \
+err in one direction, and its look-alikes, which err alike, make the fit too sure of them. A material whose \
+specular is the same everywhere is all within one deviation or nearly all beyond, as single cases show.
 
 ## Within one deviation, with look-alikes, by case
 
