@@ -8,6 +8,7 @@ folder; without it they are omitted.
 import json
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -72,9 +73,9 @@ by own photos is larger than its error.
 
 {sure}
 
-By the texel's own photos, as `fit` counts. What stays wrong: answers of metal whose highlight no photo shows \
-err in one direction, and its look-alikes, which err alike, make the fit too sure of them. A material whose \
-specular is the same everywhere is all within one deviation or nearly all beyond, as single cases show.
+By the texel's own photos, as `fit` counts. What stays wrong: answers of metal whose highlight no photo \
+shows err in one direction, and its look-alikes, which err alike, make the fit too sure of them. A \
+material whose specular is the same everywhere is nearly all within one deviation, or nearly all beyond.
 
 ## Within one deviation, with look-alikes, by case
 
@@ -152,11 +153,11 @@ def counted(truth, found, views, own: dict, alike: dict, curves: dict) -> dict: 
 
 def known(folder: Path, side: int):  # noqa: ANN201
     """A known material from a strip of normal, diffuse, roughness and specular."""
-    import cv2
+    from matplotlib.image import imread
 
     from mitsvbrdf import SVBRDF
 
-    strip = torch.from_numpy(cv2.imread(str(folder / "strip.png"))[..., ::-1].copy()).float() / 255
+    strip = torch.tensor(imread(folder / "strip.png"))[..., :3]
     normal, diffuse, roughness, specular = (part.contiguous() for part in strip.split(strip.shape[0], dim=1))
     normal = torch.nn.functional.normalize(normal * 2 - 1, dim=-1)
     normal[..., 2].clamp_(min=0.05)
@@ -185,18 +186,20 @@ def empty() -> dict:
 
 def measure(record: dict) -> dict:
     """Fit noisy 8-bit photos of known materials, and count."""
-    from mitsvbrdf import SVBRDF, HierarchicalConfig, fit_svbrdf, make_material, make_renderer, photograph
+    from mitsvbrdf import SVBRDF, HierarchicalConfig, fit_svbrdf, make_material, make_renderer
     from mitsvbrdf.bench.tasks import data_folder, find_tasks
 
     data, renderer, curves, found = data_folder(), make_renderer("mitsuba"), empty(), []
-    views = find_tasks(["inlay"], ["none"], None, 8, (), "builtin:grid", renderer)[0].photos.views
+    clean = find_tasks(["inlay"], ["none"], None, 8, (), "builtin:grid", renderer)[0].photos
     for number, (material, level, noise, side) in enumerate(cases(data)):
         truth = (known(data / "one-photo" / "known" / material, side) if data and material not in MADE
                  else make_material(material, side))
         if level != "own":
             level_map = torch.full_like(truth["specular"], float(level))
             truth = SVBRDF(truth.bsdf, {**truth.maps, "specular": level_map})
-        shots = photograph(truth, views, renderer, noise=noise, seed=number)
+        light = renderer.render(truth, clean.views)
+        light = light + noise * torch.randn(light.shape, generator=torch.Generator().manual_seed(number))
+        shots = replace(clean, photos=(255 * light.clamp(0, 1) ** (1 / 2.2)).round() / 255)
         fit = fit_svbrdf(shots, renderer, HierarchicalConfig(budget=300))
         groups = counted(truth, fit.svbrdf, fit.views, fit.deviations, fit.deviations_with_look_alikes,
                          curves)

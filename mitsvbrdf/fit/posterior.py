@@ -122,7 +122,7 @@ class OwnPhotos:
                 chain.insert(0 if sign < 0 else len(chain), (x, chi2))
         x = torch.stack([numbers.flatten(1).T for numbers, _ in chain], dim=1)
         chi2 = torch.stack([each.flatten() for _, each in chain], dim=1) / self.noise2[:, None].float()
-        rest = torch.tensor([i for i in range(len(self.names)) if i != lobe])
+        rest = torch.tensor([i for i in range(len(self.names)) if i != lobe], dtype=torch.long)
         covariance = _along(x, lobe)
         for node, (numbers, _) in enumerate(chain):
             covariance[:, node, rest[:, None], rest] += torch.linalg.inv(

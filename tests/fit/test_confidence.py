@@ -198,6 +198,7 @@ def test_clipped_pixels_say_that_it_is_bright_and_no_more():
     assert found[:, : SIDE // 2].min() > 5 * found[:, SIDE // 2:].max()
 
 
+@pytest.mark.slow
 def test_one_photo_determines_less_than_nine(leather):
     results = [fit_svbrdf(c, ANALYTIC, DirectConfig(iterations=40)) for c in (leather, leather.pick([0]))]
     nine, one = (confidence(r.deviations, {}) for r in results)
