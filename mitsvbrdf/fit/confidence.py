@@ -65,7 +65,8 @@ def deviations(svbrdf: SVBRDF, views: Views, task: FitTask,
     if basis is None or not len(shared):
         return alone, {}
     member = membership(appearance_of(capture, some(task.guess)), basis, task.config.similarity)
-    return alone, _stated(own, with_look_alikes(mixture, shared, member, len(capture)))
+    return alone, _stated(own, with_look_alikes(mixture, shared, member, len(capture),
+                                                own.answer.flatten(1).T))
 
 
 def _stated(own: OwnPhotos, mixture: Mixture) -> Deviations:

@@ -35,6 +35,7 @@ WEAK, FIXED = 1e-3, 1e12  # precisions of numbers that are free, and of a roughn
 LIFTED = 0.05  # colours below have the slopes of this one: linear^(1/2.2) is steep at 0
 BRIGHTNESSES = 12  # of equally many pixels each, with a noise of their own
 LEAST_FREE = 0.05  # share of its values that a texel's unknowns leave for the noise, at least
+CONTRADICTED = 2.0  # deviations of look-alikes from which on they contradict an answer
 ROUNDS, COMMON = 10, 20.0  # of expectation-maximisation; texels that the common deviation counts as
 
 
@@ -153,10 +154,11 @@ def masses(places: Tensor, log_density: Tensor) -> Tensor:
     return (found / found.sum(dim=1, keepdim=True)).float()
 
 
-def with_look_alikes(own: Mixture, of: Tensor, member: Tensor, photos: int) -> Mixture:
+def with_look_alikes(own: Mixture, of: Tensor, member: Tensor, photos: int, answer: Tensor) -> Mixture:
     """What texels may be by their own N photos and those of look-alikes, which share the numbers ``of``.
 
-    ``member`` says how much of each of K basis materials texels are, M x K.
+    ``member`` says how much of each of K basis materials texels are, M x K. Where look-alikes contradict the
+    answer, M x U, it is not they who told it: own photos speak alone.
     """
     x, weight = own.x[..., of], own.weight.clamp_min(1e-30).log()
     variance = own.covariance.diagonal(dim1=2, dim2=3)[..., of].clamp_min(1e-10)
@@ -196,7 +198,8 @@ def with_look_alikes(own: Mixture, of: Tensor, member: Tensor, photos: int) -> M
         strange = ((((1 - familiar) * asked) @ part + 1) / (asked @ part + 10)).clamp(1e-3, 0.9)
     alike = (photos / part.sum(dim=0).clamp_min(1)).clamp_max(1)
     _, level, spread, share = prior(tau2 + 1 / (1 / FLAT + count / tau2 * alike))
-    return _given(own, of, level, spread, share)
+    contradicted = ((answer[:, of] - level).square() > CONTRADICTED**2 * spread).any(dim=1)
+    return _given(own, of, level, spread, torch.where(contradicted, 1 - 1e-6, share))
 
 
 def _given(own: Mixture, of: Tensor, level: Tensor, spread: Tensor, share: Tensor) -> Mixture:

@@ -104,7 +104,11 @@ def test_look_alikes_are_known_as_in_a_normal_model(tau):
     noise = torch.where(torch.arange(2000) % 2 == 0, 0.05, 0.29)
     x = torch.where(noise < 0.1, truth + noise * torch.randn(2000, generator=rng), 0.5)[:, None, None]
     own = Mixture(x, noise.square()[:, None, None, None], torch.ones(2000, 1))
-    found = with_look_alikes(own, torch.tensor([0]), torch.ones(2000, 1), 2000)
+    answer = torch.where(torch.arange(2000) < 1900, 0.4, 0.95)[:, None]
+    every = with_look_alikes(own, torch.tensor([0]), torch.ones(2000, 1), 2000, answer)
+    # Look-alikes contradict the last hundred answers: what their own photos leave open stays as it was.
+    assert every.weight[1900:, 0].max() < 1e-3 and torch.equal(every.x[:, 1], x[:, 0])
+    found, truth, noise = Mixture(*(part[:1900] for part in every)), truth[:1900], noise[:1900]
     mean = (found.weight * found.x[..., 0]).sum(dim=1)
     off = found.x[..., 0] - mean[:, None]
     variance = (found.weight * (found.covariance[..., 0, 0] + off.square())).sum(dim=1)
