@@ -137,7 +137,7 @@ class HierarchicalConfig(FitConfig):
     exact: bool | None = None
     """The photos follow the model, as simulated ones do. Default: decided by the errors of a first fit."""
     multi_start: Switch = True
-    """Fit exact photos from three starts with lobes of different width."""
+    """Explain exact photos at many roughnesses, and let texels share the lobes found."""
     calibrate: bool | None = None
     """Refine the camera and flash of every photo. Default: only for real photos; exact ones fit better
     without."""

@@ -10,6 +10,7 @@ from ...measure.burn_in import cubic
 from ...views import Views, coverage_angle, geometry
 from ..config import HierarchicalConfig
 from .scales import Scale
+from .sensor_noise import noise_at
 from .solver import Observations
 from .stages import Stages
 from .texel_prior import TexelEstimate
@@ -40,6 +41,8 @@ class ObservationModel:
         noise, capture = float(self.stages.noise), scale.capture
         weighted = self.stages.tied and not scale.free and self.config.highlight_reach
         weights = self._trust(scale, estimate, self.config.highlight_reach) if weighted else None
+        if self.stages.told_by_brightness:
+            weights = (noise / noise_at(capture.photos.mean(dim=-1), self.stages.sensor)).square()
         if capture.measured is not None:
             weights = capture.measured * (1 if weights is None else weights)
         return Observations(capture.photos, self.corrections.applied(capture.views), capture.transfer, noise,

@@ -1,23 +1,21 @@
 """``hierarchical``, the default: every texel solved by itself, tied to the texels that look like it.
 
 A texel has nine unknowns and some nine grey values. On its own it explains its photos by whatever fits:
-unseen highlights stay open, and errors of the model are burnt in. Three steps, in turns, mend that:
-
-1. Levenberg-Marquardt through Mitsuba's BSDF solves the unknowns of each texel (:mod:`.solver`). A
-   neighbour's better estimate becomes a start (:mod:`.starts`; PatchMatch, Barnes et al. 2009).
-2. Texels that look alike share specular and roughness (:mod:`.sharing`).
-3. Camera and flash are refined with the maps so far (:mod:`.view_corrections`).
+unseen highlights stay open, and errors of the model are burnt in. So texels are solved (:mod:`.solver`),
+share specular and roughness with those that look alike (:mod:`.sharing`), and camera and flash are refined
+(:mod:`.view_corrections`), in turns. A neighbour's better estimate becomes a start (:mod:`.starts`;
+PatchMatch, Barnes et al. 2009).
 
 What a first free fit leaves unexplained tells simulated photos from real ones (:mod:`.stages`). Real photos
-are explained at 64 px, where texels must agree. At full size each texel may leave that estimate as far as the
-photos ask for (:mod:`.texel_prior`, :mod:`.cross_validation`). Simulated photos are explained from three
-starts with lobes of different width, and without a lobe where none is needed (:mod:`.specular_test`).
+are explained at 64 px, where texels must agree; at full size each texel may leave that as far as the photos
+ask for (:mod:`.texel_prior`, :mod:`.cross_validation`). Texels of simulated photos share lobes that are
+learned from all of them (:mod:`.shared_lobes`), or have none where none is needed (:mod:`.specular_test`).
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import torch
 from torch import Tensor
@@ -33,15 +31,17 @@ from ..method import Method
 from ..start import robust_start
 from ..task import FitTask
 from .cross_validation import AGREED, NOISES, in_turn, least_as_good, prediction_errors, steps_of_turns
+from .evidence import SEARCH_STEPS
 from .observations import ROBUST_END, ObservationModel
 from .omitted import omitted_stages
 from .scales import Scale, Scales
+from .shared_lobes import SharedLobes
 from .solver import Observations, Solved
 from .specular_test import Search, decision_work, explained_without, may_be_omitted, without_lobe
 from .stages import NOISE, Stage, Stages, unexplained
-from .starts import LESS, MultiStart, other_starts, stepped
+from .starts import LESS, other_starts, stepped
 from .texel_prior import LEAST_PRECISION, TexelEstimate
-from .time_budget import LAST_STEPS, OTHER_STEPS, ROUND_STEPS, STEPS, TimeBudget
+from .time_budget import FAR_STEPS, LAST_STEPS, OTHER_STEPS, ROUND_STEPS, STEPS, TimeBudget
 from .view_corrections import LEVELLED, REFINED, ViewCorrections
 
 
@@ -70,8 +70,8 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.stages.believe(config.noise or NOISE)
         seen = ObservationModel(self.stages, self.corrections, config)
         self.observations, self.without_burn_in = seen.observations, seen.without_burn_in
-        self.multi_start, self.budget = MultiStart(), TimeBudget(config.budget, self.stages,
-                                                                 capture.resolution**2)
+        self.lobes = SharedLobes(self.prior)
+        self.budget = TimeBudget(config.budget, self.stages, capture.resolution**2)
         self.closed: TexelEstimate | None = None  # what the present answer ends in, once it was asked for
         self.cut = False  # whether the time left was too short for the whole of the latest round
         self.answer = self.start()
@@ -92,13 +92,9 @@ class Hierarchical(Method[HierarchicalConfig]):
             self._closed(more=1)
             return {}
         self.closed = None
-        trial, had = stages.trial
-        if stages.stage == Stage.MULTI_START and had == 0:
-            self._keep()
-            self.answer = self.multi_start.start(self.start(), trial, self.prior)
         stages.begin_round()
         with profiled("solver"):
-            cost = self.solve()
+            cost = self._search() if stages.stage == Stage.MULTI_START and not self.lobes else self.solve()
         self._move_views()
         with profiled("sharing"):
             self.answer = self._tied(self.scale, self.observations(self.scale, self.answer), self.answer)
@@ -111,11 +107,9 @@ class Hierarchical(Method[HierarchicalConfig]):
             self.stages.judge(unexplained(self.preview(), self.corrections.applied(self.views),
                                           self.scale.capture, make_renderer("mitsuba", self.variant)))
             self._leave_lobe_out()
-        if self.stages.stage == Stage.MULTI_START:
-            if self.stages.finished:
-                self._keep()
-            self.answer = self.multi_start.take(self.answer)
-        stage, hurried = self.stages.next, not self.stages.finished
+        in_time = self.budget.in_time(SEARCH_STEPS * self.scale.texels, beside=STEPS)
+        stage = self.stages.next(in_time)
+        hurried = not self.stages.finished or self.stages.stage == Stage.ALONE and not in_time
         self.corrections.leave(self.stages.stage, self.stages.rounds, self.stages.tied)
         if stage == Stage.TOGETHER:
             self.scale = self.scales.of(stage)
@@ -144,12 +138,10 @@ class Hierarchical(Method[HierarchicalConfig]):
         return without_lobe(self.search)
 
     def _at_full_size(self, learn: bool = False) -> tuple[Scale, TexelEstimate]:
-        """The present answer enlarged; tied texels are free there.
-
-        Args:
-            learn: learn first how far photos of a phone are to be believed there.
-        """
+        """The present answer enlarged; tied texels are free, and learn how far to believe their photos."""
         fine = self.scales.of(Stage.FINE)
+        if self.lobes:
+            return fine, self.lobes.enlarged(self.answer, fine)
         if self.stages.exact:
             return fine, self.prior.enlarge(self.answer, self.scale, fine, False)
         if learn and self.config.noise is None and in_turn(len(self.capture)):
@@ -176,10 +168,12 @@ class Hierarchical(Method[HierarchicalConfig]):
                          weights=sharp.capture.measured)
         return NOISES[least_as_good(prediction_errors(photos, sharp.solver, self.prior, starts, NOISES))]
 
-    def _keep(self) -> None:
-        """Remember the answer to this start, if it is the best so far."""
-        self.multi_start.keep(self.answer, self.scale.solver, self.observations(self.scale, self.answer),
-                         self.prior)
+    def _search(self) -> Tensor:
+        """Learn the noise of exact photos and the lobes that texels share; returns the mean cost."""
+        self.answer, cost = self.lobes.search(
+            self.scale, self.answer, lambda: replace(self.observations(self.scale, self.answer), robust=None),
+            self.stages, make_renderer("mitsuba", self.variant), self.config.seed)
+        return cost
 
     @property
     def done(self) -> bool:
@@ -188,20 +182,32 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def solve(self) -> Tensor:
         """Solve every texel, then try other starts where they lead to less; returns the mean cost."""
-        fine = self.stages.stage == Stage.FINE
+        fine, turn = self.stages.stage == Stage.FINE, self.stages.rounds
         steps = self.budget.steps(STEPS, self.budget.to_come) if fine else STEPS
-        found, self.cut = self._stepped(self.scale, self.answer, steps), steps < STEPS
-        x, cost = found.x, found.data + found.prior
-        for start in other_starts(self.prior, self.stages.rounds) if self.config.neighbours else ():
-            if fine and not self.budget.in_time(OTHER_STEPS * self.scale.texels):
+        others = FAR_STEPS if self.lobes else OTHER_STEPS
+        self.cut, (answer, cost) = steps < STEPS, self._scored(self.answer, steps)
+        starts = self.lobes.starts(answer, turn) if self.lobes else other_starts(self.prior, turn)
+        for start in starts if self.config.neighbours else ():
+            if fine and not self.budget.in_time(others * self.scale.texels):
                 self.cut = True
                 break
-            found = self._stepped(self.scale, start(self.answer._replace(x=x)), OTHER_STEPS)
-            other = found.data + found.prior
-            better = other < cost * (1 - LESS)
-            x, cost = torch.where(better, found.x, x), torch.where(better, other, cost)
-        self.answer = self.answer._replace(x=x)
+            other, its = self._scored(start(answer), others)
+            better = its < cost * (1 - LESS)
+            answer, cost = answer.where(better, other), torch.where(better, its, cost)
+        last = (self.lobes.tried * others + LAST_STEPS) * self.scale.texels
+        if self.lobes and self.stages.settled and not self.cut and self.budget.in_time(last):
+            answer, _ = self._scored(self.lobes.averaged(
+                answer, cost, partial(self._scored, steps=others)), LAST_STEPS)
+        self.answer = answer
         return cost.mean()
+
+    def _scored(self, answer: TexelEstimate, steps: int) -> tuple[TexelEstimate, Tensor]:
+        """An answer after some steps, and the cost of each texel."""
+        found = self._stepped(self.scale, answer, steps)
+        answer, cost = answer._replace(x=found.x), found.data + found.prior
+        if len(answer.lobe):
+            cost += self.lobes.improbability(self.scale, self.observations(self.scale, answer), answer)
+        return answer, cost
 
     def _move_views(self) -> None:
         """Move camera and flash if this round does so; the patch as a whole is flat (in z = 0)."""
@@ -224,19 +230,18 @@ class Hierarchical(Method[HierarchicalConfig]):
         variance = scale.solver.variances(photos, answer.x, precision)
         if scale.free:
             return prior.loosen(answer, variance)
+        if self.lobes:
+            fine = self.stages.stage == Stage.FINE
+            answer = answer if fine else self.lobes.learn_anew(scale, photos, answer)
+            return prior.with_relief(answer, variance, tied=False)
         return prior.share(answer, variance, scale.member, len(photos.views), self.stages.tied,
                            lambda planes: self.without_burn_in(planes, scale, answer))
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The present maps at full size, of tied texels with the freedom that they have in the end."""
-        side = self.capture.resolution
-        if self.multi_start.best is not None and self.stages.stage == Stage.MULTI_START:
-            x = enlarged(self.multi_start.best.x, side)
-        elif self.stages.tied:
-            x = self._closed()
-        else:
-            x = self.answer.x if self.answer.x.shape[-1] == side else enlarged(self.answer.x, side)
-        return self.scales.solver(side).svbrdf(x).map(Tensor.contiguous), self.corrections.applied(self.views)
+        x = enlarged(self._closed() if self.stages.tied else self.answer.x, self.capture.resolution)
+        views, solver = self.corrections.applied(self.views), self.scales.solver(x.shape[-1])
+        return solver.svbrdf(x).map(Tensor.contiguous), views
 
     def preview(self) -> SVBRDF:
         """The present answer as it is, at the size of the present stage."""
@@ -280,16 +285,17 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def state(self) -> dict[str, Tensor]:
         """The states of its parts."""
-        parts = self.answer._asdict(), *(part.state() for part in (self.stages, self.corrections,
-                                                                   self.multi_start, self.budget))
-        return {name: value.clone() for part in parts for name, value in part.items()}
+        parts = (self.stages, self.corrections, self.lobes, self.budget)
+        states = self.answer._asdict(), *(part.state() for part in parts)
+        return {name: value.clone() for state in states for name, value in state.items()}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
         self.answer = TexelEstimate(**{name: state[name].clone() for name in TexelEstimate._fields})
         self.closed = None
-        for part in (self.stages, self.corrections, self.multi_start, self.budget):
+        for part in (self.stages, self.corrections, self.budget):
             part.load_state(state)
         self.scales, self.prior = self.lobeless if self.stages.matte else self.search
         stage = self.stages.stage
         self.scale = self.scales.of(stage, free=self.stages.tied and stage == Stage.FINE)
+        self.lobes.load_state(state, self.scale)

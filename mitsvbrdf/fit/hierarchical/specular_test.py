@@ -123,7 +123,7 @@ def explained_without(
 
 
 def least_errors(solver: TexelSolver, photos: Observations, prior: TexelPrior, starts: list[Tensor],
-                 rounds: int = 0, steps: int = STEPS) -> tuple[Tensor, Tensor]:
+                 rounds: int = 0, steps: int = STEPS, turn: int = 0) -> tuple[Tensor, Tensor]:
     """The unknowns U x R x R that explain each texel's photos best, and their squared errors R x R.
 
     Args:
@@ -133,6 +133,7 @@ def least_errors(solver: TexelSolver, photos: Observations, prior: TexelPrior, s
         starts: to try, U x R x R each.
         rounds: in which texels try what :func:`~mitsvbrdf.fit.hierarchical.starts.other_starts` gives.
         steps: from each start.
+        turn: of the first of these rounds.
     """
     x = prior.bounded(starts[0]).contiguous()
     answer = TexelEstimate(x, x, torch.full_like(x, LEAST_PRECISION), torch.zeros(0))
@@ -144,8 +145,8 @@ def least_errors(solver: TexelSolver, photos: Observations, prior: TexelPrior, s
 
     for start in starts:
         x, errors = tried(answer._replace(x=start), steps)
-    for turn in range(rounds):
-        for other in other_starts(prior, turn):
+    for later in range(rounds):
+        for other in other_starts(prior, turn + later):
             x, errors = tried(other(answer._replace(x=x)), steps // 2)
     return x, errors.double() * photos.noise**2
 

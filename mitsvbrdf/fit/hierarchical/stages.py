@@ -16,22 +16,21 @@ from ...capture import Capture
 from ...material.maps import SVBRDF
 from ...render import Renderer
 from ...views import Views
+from .sensor_noise import STEPS
 
 
 class Stage(IntEnum):
     """A stage of the fit."""
 
     ALONE = 0  # coarse; every texel explains its photos freely
-    MULTI_START = 1  # the same from other starts; exact photos only
+    MULTI_START = 1  # the same at many roughnesses, and the lobes that texels share; exact photos only
     TOGETHER = 2  # coarse; texels are tied to those that look alike; photos of a phone only
     FINE = 3  # full size
 
 
-# Rounds until the costs of two starts can be compared, measured: after 20 the lower one was the worse
-# material's in 4 of 40 fits, after 26 in none. The robust start has its first in ALONE.
-TRIAL = 26
-ROUNDS = {Stage.ALONE: 12, Stage.MULTI_START: 3 * TRIAL - 12, Stage.TOGETHER: 12, Stage.FINE: 14}
-TIED_ROUNDS = 6  # of FINE, for photos of a phone
+ROUNDS = {Stage.ALONE: 12, Stage.MULTI_START: 10, Stage.TOGETHER: 12, Stage.FINE: 6}
+LOBE_ROUNDS, ALIKE = 4, 2  # of FINE, where texels share lobes; in the first of them all pixels count alike
+ALONE_ROUNDS = 14  # of FINE, for exact photos whose texels share no lobes
 # share of the run at which a stage ends at the latest
 DEADLINE = {Stage.ALONE: 0.15, Stage.MULTI_START: 0.4, Stage.TOGETHER: 0.5}
 
@@ -51,7 +50,8 @@ EASED = 0.75
 class Stages:
     """Where the fit stands: a stage, rounds of it begun, and the noise of the round under way.
 
-    Exact photos may have a ``multi_start``; ``stated`` says whether they are, None that their errors tell.
+    Exact photos may have a ``multi_start``: their texels are explained at many roughnesses. ``stated`` says
+    whether photos are exact, None that their errors tell.
     """
 
     def __init__(self, multi_start: bool, stated: bool | None = None) -> None:
@@ -60,6 +60,7 @@ class Stages:
         self.noise = torch.tensor(NOISE)
         self.unexplained = torch.full((2,), torch.nan)
         self.detail = torch.tensor(NOISE)
+        self.sensor = torch.full((2, STEPS), torch.nan)
         self.hurried = False
         self.matte = False  # whether the photos were found to need no specular lobe
 
@@ -67,6 +68,21 @@ class Stages:
     def known(self) -> bool:
         """Whether :meth:`judge` has decided which kind of photos these are."""
         return not bool(self.unexplained[0].isnan())
+
+    @property
+    def measured(self) -> bool:
+        """Whether :meth:`measure` was told the noise of exact photos."""
+        return not bool(self.sensor.isnan().any())
+
+    @property
+    def told_by_brightness(self) -> bool:
+        """Whether pixels count by the noise of their brightness: not while starts are far from highlights."""
+        return self.measured and (self.stage != Stage.FINE or self.rounds > ALIKE)
+
+    def measure(self, sensor: Tensor) -> None:
+        """Learn the noise of exact photos by brightness (:mod:`.sensor_noise`)."""
+        self.sensor = sensor
+        self.detail = self.noise = sensor[1].square().mean().sqrt()
 
     @property
     def exact(self) -> bool:
@@ -81,7 +97,8 @@ class Stages:
     @property
     def settled(self) -> bool:
         """Whether another round would change little."""
-        return self.stage == Stage.FINE and self.rounds >= (ROUNDS[Stage.FINE] if self.exact else TIED_ROUNDS)
+        rounds = ROUNDS[Stage.FINE] if not self.exact else LOBE_ROUNDS if self.measured else ALONE_ROUNDS
+        return self.stage == Stage.FINE and self.rounds >= rounds
 
     @property
     def finished(self) -> bool:
@@ -96,13 +113,16 @@ class Stages:
         late = self.rounds > 1 and short or self.rounds > 0 and progress >= DEADLINE.get(self.stage, 2.0)
         return self.stage != Stage.FINE and (late or self.finished)
 
-    @property
-    def next(self) -> Stage:
-        """The stage after this one; after ALONE, :meth:`judge` comes first."""
-        if self.stage == Stage.ALONE:
-            return (Stage.TOGETHER if not self.exact else Stage.MULTI_START if self.multi_start
-                    and not self.matte else Stage.FINE)
-        return Stage.FINE
+    def next(self, in_time: bool = True) -> Stage:
+        """The stage after this one; after ALONE, :meth:`judge` comes first.
+
+        Args:
+            in_time: whether a search at many roughnesses can end in time.
+        """
+        if self.stage == Stage.ALONE and not self.exact:
+            return Stage.TOGETHER
+        search = self.stage == Stage.ALONE and self.multi_start and not self.matte and in_time
+        return Stage.MULTI_START if search else Stage.FINE
 
     def judge(self, left: Tensor) -> None:
         """Learn what ALONE left unexplained (:func:`unexplained`), and so which kind of photos these are."""
@@ -126,16 +146,10 @@ class Stages:
         """Count the latest round, which was not a whole one, no longer."""
         self.rounds -= 1
 
-    @property
-    def trial(self) -> tuple[int, int]:
-        """Of MULTI_START: which start the round to come is of, and the rounds that this start had."""
-        return divmod(ROUNDS[Stage.ALONE] + self.rounds, TRIAL)
-
     def _next_noise(self) -> float:
         stage, done = self.stage, self.rounds
-        if stage == Stage.MULTI_START:
-            done, alone = self.trial[1], ROUNDS[Stage.ALONE]
-            stage, done = (Stage.ALONE, done) if done < alone else (Stage.FINE, done - alone)
+        if self.measured:
+            return float(self.detail)
         if stage == Stage.ALONE:
             return max(LEAST_NOISE, NOISE * EASED**done)
         if self.exact:
@@ -146,14 +160,15 @@ class Stages:
         """Everything :meth:`load_state` needs."""
         return {"stage": torch.tensor([self.stage, self.rounds, self.hurried]),
                 "matte": torch.tensor(self.matte), "noise": self.noise.clone(), "detail": self.detail.clone(),
-                "unexplained": self.unexplained.nan_to_num(-1.0)}
+                "unexplained": self.unexplained.nan_to_num(-1.0), "sensor": self.sensor.nan_to_num(-1.0)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
         stage, self.rounds, hurried = state["stage"].tolist()
         self.stage, self.hurried, self.matte = Stage(stage), bool(hurried), bool(state["matte"])
         self.noise, self.detail = state["noise"].clone(), state["detail"].clone()
-        self.unexplained = torch.where(state["unexplained"] < 0, torch.nan, state["unexplained"])
+        self.unexplained, self.sensor = (torch.where(state[name] < 0, torch.nan, state[name])
+                                         for name in ("unexplained", "sensor"))
 
 
 def unexplained(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Renderer) -> Tensor:

@@ -34,12 +34,27 @@ class TexelEstimate(NamedTuple):
         mean: of the prior, U x R x R.
         precision: of the prior, U x R x R.
         spread: standard deviation of the shared unknowns around those of look-alikes, S.
+        lobe: which of the shared lobes texels have, R x R; empty where they have none.
     """
 
     x: Tensor
     mean: Tensor
     precision: Tensor
     spread: Tensor
+    lobe: Tensor = torch.empty(0, dtype=torch.long)
+
+    def where(self, better: Tensor, other: TexelEstimate) -> TexelEstimate:
+        """This estimate, but another one in some texels, R x R."""
+        changed = ("x", "mean", "precision", "lobe") if len(self.lobe) else ("x",)
+        return self._replace(**{name: torch.where(better, getattr(other, name), getattr(self, name))
+                                for name in changed})
+
+    def rolled(self, by: int, axis: int) -> TexelEstimate:
+        """Each texel as a neighbour along axis 1 or 2 is, its prior too where it goes with its lobe."""
+        planes = {name: torch.roll(getattr(self, name), by, axis)
+                  for name in (("x", "mean", "precision") if len(self.lobe) else ("x",))}
+        lobe = torch.roll(self.lobe, by, axis - 1) if len(self.lobe) else self.lobe
+        return self._replace(lobe=lobe, **planes)
 
 
 class TexelPrior:
@@ -92,12 +107,18 @@ class TexelPrior:
             mean[self.shared] = corrected(found.reshape(-1, *answer.x.shape[1:]))
             nearest = tau.clamp_max(self.config.spread) if tied else tau
             precision[self.shared] = (nearest**-2.0).reshape(-1, *answer.x.shape[1:])
+        answer = answer._replace(mean=mean, precision=precision, spread=spread)
+        return self.with_relief(answer, variance, tied)
+
+    def with_relief(self, answer: TexelEstimate, variance: Tensor, tied: bool) -> TexelEstimate:
+        """The relief seen sets the prior of normals; that of a phone's photos is stated."""
+        mean, precision = answer.mean.clone(), answer.precision.clone()
         if len(self.slopes):
             relief = (answer.x[self.slopes].square()
                       + variance[self.slopes]).mean().sqrt().clamp_min(LEAST_SPREAD)
             mean[self.slopes] = 0
             precision[self.slopes] = (self.config.relief if tied else float(relief)) ** -2.0
-        return TexelEstimate(answer.x, mean, precision, spread)
+        return answer._replace(mean=mean, precision=precision)
 
     def enlarge(self, answer: TexelEstimate, coarse: Scale, fine: Scale, tied: bool) -> TexelEstimate:
         """An estimate at full size; shared unknowns follow look-alikes (joint upsampling, Kopf 2007)."""

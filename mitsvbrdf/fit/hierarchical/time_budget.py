@@ -19,6 +19,7 @@ from torch import Tensor
 from .stages import Stage, Stages
 
 STEPS, OTHER_STEPS = 6, 4  # Levenberg-Marquardt steps of a round, and of another start
+FAR_STEPS = 10  # of another start where texels have lobes, which hold them tightly
 ROUND_STEPS = STEPS + 4 * OTHER_STEPS  # of a round with all starts
 LAST_STEPS = 8  # and at the end
 

@@ -75,7 +75,7 @@ def test_resuming_is_bit_equal_at_every_round(kind, two_stages, capture, tmp_pat
     loop.method.step = saving_step
     loop.run()
     assert set(passed) == {Stage.ALONE, Stage.MULTI_START if kind == "exact" else Stage.TOGETHER, Stage.FINE}
-    for at in range(1, len(passed)) if kind == "phone" else (2, 4):
+    for at in range(1, len(passed)) if kind == "phone" else (2, 3, 4, 7):
         resumed = fit_svbrdf(capture, MITSUBA, config, resume=tmp_path / f"{at}.safetensors")
         for name, value in whole.svbrdf.maps.items():
             assert torch.equal(value, resumed.svbrdf[name]), (at, name)
@@ -113,8 +113,8 @@ def test_stages_that_were_stated(stated, stage, capture):
 def test_settled_and_nothing_left(capture, tmp_path):
     small, path = capture.averaged(16), tmp_path / "c.safetensors"
     result = fit_svbrdf(small, MITSUBA, checkpoint=path)
-    # rounds: three starts, the last stage
-    assert result.stopped == "settled" and result.trace[-1]["iteration"] == 3 * 26 + 14
+    # rounds: free, the search for lobes, the last stage
+    assert result.stopped == "settled" and result.trace[-1]["iteration"] == 12 + 10 + 4
     # the last, whether it is the lowest or not
     assert result.rerender_rmse == result.trace[-1]["rerender_rmse"]
     again = fit_svbrdf(small, MITSUBA, HierarchicalConfig(budget=1e4), resume=path)

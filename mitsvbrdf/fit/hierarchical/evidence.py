@@ -1,0 +1,99 @@
+"""What the photos of each texel say of the numbers that it shares, whatever its roughness.
+
+In the tails of GGX only F0 alpha^2 shows. A texel whose highlight no photo met has a valley of answers that
+explain its photos alike, and a search that starts at the wrong end of it stays there. So each texel is
+explained at each of some roughnesses with all other numbers free (profile likelihood; Murphy and van der
+Vaart 2000). Around each of these answers its photos are a Gaussian of the shared numbers (Schur complement).
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from .solver import Observations, TexelSolver
+from .specular_test import least_errors
+from .texel_prior import LEAST_PRECISION, TexelEstimate, TexelPrior
+
+WIDTHS = tuple(0.05 * 1.32**k for k in range(11))  # roughnesses; alpha grows by 1.74 from one to the next
+STEPS, OTHERS = 6, 4  # of the solver from each start, and other starts of a texel, of half as many steps
+SEARCH_STEPS = 2 * len(WIDTHS) * (2 * STEPS + OTHERS * (STEPS // 2))
+ROUNDING = 1e-5  # of float32 sums over photos: so much of a diagonal is added to keep matrices definite
+
+
+class Evidence(NamedTuple):
+    """Costs of the photos of M texels around G answers of each, by their S shared numbers; float64.
+
+    A texel costs cost + 2 slope d + d curve d at shared numbers x + d: -2 log of the likelihood, its own
+    numbers integrated out (Laplace). A narrow lobe that meets the noise of one pixel is not likelier for it.
+
+    Args:
+        x: shared numbers of the answers, G x M x S.
+        cost: G x M.
+        slope: G x M x S.
+        curve: G x M x S x S.
+    """
+
+    x: Tensor
+    cost: Tensor
+    slope: Tensor
+    curve: Tensor
+
+
+def searched(solver: TexelSolver, photos: Observations, prior: TexelPrior,
+             x: Tensor) -> tuple[list[Tensor], Tensor]:
+    """The answers of texels at each of :data:`WIDTHS`, and the best ones, U x R x R each.
+
+    Every answer is a start of the next.
+
+    Args:
+        solver: of the texels.
+        photos: their noise does not matter.
+        prior: of the unknowns, roughness among them.
+        x: the first start, U x R x R.
+    """
+    found, lobe = [x] * len(WIDTHS), prior.unknowns.of("roughness")
+    best, least = x, torch.full_like(x[0], torch.inf, dtype=torch.float64)
+    upwards = range(len(WIDTHS))
+    for turn, order in enumerate((upwards, reversed(upwards))):
+        last = x
+        for k in order:
+            held = copy(prior)
+            held.low, held.high = prior.low.clone(), prior.high.clone()
+            held.low[lobe] = held.high[lobe] = WIDTHS[k]
+            last, errors = least_errors(solver, photos, held, [found[k], last], 1, STEPS, turn)
+            found[k] = last
+            best, least = torch.where(errors < least, last, best), errors.minimum(least)
+    return found, best
+
+
+def evidence(solver: TexelSolver, photos: Observations, answer: TexelEstimate, shared: Tensor,
+             answers: list[Tensor]) -> Evidence:
+    """What the photos say of S of the unknowns around some answers.
+
+    Args:
+        solver: of the texels.
+        photos: their noise matters.
+        answer: whose prior the texel's own numbers have.
+        shared: which unknowns these are, S.
+        answers: U x R x R each.
+    """
+    own = torch.tensor([u for u in range(len(answers[0])) if u not in shared.tolist()], dtype=torch.long)
+    mean, precision = (t[own].flatten(1).T.double() for t in (answer.mean, answer.precision))
+    parts = list[tuple[Tensor, ...]]()
+    for x in answers:
+        cost, slope, curve = (t.flatten(-2).movedim(-1, 0).double()
+                              for t in solver.normal_equations(photos, x))
+        curve = curve + torch.diag_embed(ROUNDING * curve.diagonal(dim1=1, dim2=2) + LEAST_PRECISION)
+        off = x[own].flatten(1).T.double() - mean
+        inner = curve[:, own[:, None], own] + torch.diag_embed(precision)
+        outer = curve[:, own[:, None], shared]
+        known = torch.cat((outer, (slope[:, own] + precision * off)[..., None]), dim=2)
+        taken = outer.mT @ torch.linalg.solve(inner, known)
+        cost = cost + (precision * off.square() - precision.log()).sum(dim=1)
+        parts.append((x[shared].flatten(1).T.double(), cost + torch.linalg.slogdet(inner).logabsdet,
+                      slope[:, shared] - taken[..., -1], curve[:, shared[:, None], shared] - taken[..., :-1]))
+    return Evidence(*(torch.stack(part) for part in zip(*parts, strict=True)))

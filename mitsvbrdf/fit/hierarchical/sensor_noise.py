@@ -1,0 +1,50 @@
+"""The noise of exact photos by brightness, from what is left where texels are explained.
+
+Noise of a sensor is about the same everywhere in linear light, so that of display values is small where they
+are bright. A highlight tells more of a metal than all dark pixels do.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from ...capture import Capture
+from ...color import QUANTIZATION_NOISE, to_display
+from ...material.maps import SVBRDF
+from ...render import Renderer
+from ...views import Views
+
+STEPS = 16  # of brightness, as many pixels in each
+NORMAL = 1.4826  # standard deviation of normal errors over the median of their sizes
+
+
+def sensor_noise(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Renderer, unknowns: int) -> Tensor:
+    """Brightness (mean display values) and standard deviation of display values there, 2 x :data:`STEPS`.
+
+    The median tells, so texels that are not explained yet do not count. No photo is more exact than 8 bits.
+
+    Args:
+        svbrdf: that explains the photos best, R x R.
+        views: of the photos.
+        capture: the photos, N x R x R.
+        renderer: of the material.
+        unknowns: that each texel was explained with; they take that many of its 3 N values.
+    """
+    with torch.no_grad():
+        images = renderer.render(svbrdf, views)
+    usable, values = capture.usable.all(dim=-1), 3 * len(capture)
+    errors = (to_display(images, capture.transfer) - capture.photos)[usable].abs()
+    bright = capture.photos[usable].mean(dim=-1)
+    steps = bright.argsort().tensor_split(STEPS)
+    widened = NORMAL * (values / max(values - unknowns, 1)) ** 0.5
+    at, deviation = (torch.stack([values[step].median() for step in steps]) for values in (bright, errors))
+    return torch.stack([at.nan_to_num(1), (widened * deviation).nan_to_num(0).clamp_min(QUANTIZATION_NOISE)])
+
+
+def noise_at(bright: Tensor, sensor: Tensor) -> Tensor:
+    """The standard deviation at some brightness, between the steps of :func:`sensor_noise`."""
+    at, deviation = sensor
+    above = torch.bucketize(bright, at).clamp(1, len(at) - 1)
+    share = ((bright - at[above - 1]) / (at[above] - at[above - 1]).clamp_min(1e-6)).clamp(0, 1)
+    return torch.lerp(deviation[above - 1], deviation[above], share)
