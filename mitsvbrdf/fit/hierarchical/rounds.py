@@ -182,11 +182,11 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def solve(self) -> Tensor:
         """Solve every texel, then try other starts where they lead to less; returns the mean cost."""
-        fine, turn = self.stages.stage == Stage.FINE, self.stages.rounds
+        fine, turn, lobes = self.stages.stage == Stage.FINE, self.stages.rounds, self.lobes
         steps = self.budget.steps(STEPS, self.budget.to_come) if fine else STEPS
-        others = FAR_STEPS if self.lobes else OTHER_STEPS
+        others = FAR_STEPS if lobes else OTHER_STEPS
         self.cut, (answer, cost) = steps < STEPS, self._scored(self.answer, steps)
-        starts = self.lobes.starts(answer, turn) if self.lobes else other_starts(self.prior, turn)
+        starts = lobes.starts(answer, turn) if lobes else other_starts(self.prior, turn)
         for start in starts if self.config.neighbours else ():
             if fine and not self.budget.in_time(others * self.scale.texels):
                 self.cut = True
@@ -194,10 +194,10 @@ class Hierarchical(Method[HierarchicalConfig]):
             other, its = self._scored(start(answer), others)
             better = its < cost * (1 - LESS)
             answer, cost = answer.where(better, other), torch.where(better, its, cost)
-        last = (self.lobes.tried * others + LAST_STEPS) * self.scale.texels
-        if self.lobes and self.stages.settled and not self.cut and self.budget.in_time(last):
-            answer, _ = self._scored(self.lobes.averaged(
-                answer, cost, partial(self._scored, steps=others)), LAST_STEPS)
+        last = (lobes.tried * others + LAST_STEPS) * self.scale.texels
+        if lobes and self.stages.settled and not self.cut and self.budget.in_time(last):
+            answer = lobes.averaged(answer, cost, partial(self._scored, steps=others))
+            answer, _ = self._scored(answer, LAST_STEPS)
         self.answer = answer
         return cost.mean()
 
