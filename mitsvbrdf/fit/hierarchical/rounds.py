@@ -78,9 +78,8 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def start(self) -> TexelEstimate:
         """The robust start with a vague prior around it."""
-        scale = self.scale
-        return self.prior.vague(scale.solver.numbers(
-            robust_start(scale.capture, scale.guess, self.config.bsdf, scale.solver.fixed)))
+        solver, capture, guess = self.scale.solver, self.scale.capture, self.scale.guess
+        return self.prior.vague(solver.numbers(robust_start(capture, guess, solver.bsdf, solver.fixed)))
 
     def step(self, progress: float) -> dict[str, float]:
         """One round of the present stage or the first of the next; without time for one, the last steps."""
@@ -285,9 +284,9 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def state(self) -> dict[str, Tensor]:
         """The states of its parts."""
-        parts = (self.stages, self.corrections, self.lobes, self.budget)
-        states = self.answer._asdict(), *(part.state() for part in parts)
-        return {name: value.clone() for state in states for name, value in state.items()}
+        parts = self.answer._asdict(), *(part.state() for part in (self.stages, self.corrections, self.lobes,
+                                                                   self.budget))
+        return {name: value.clone() for part in parts for name, value in part.items()}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
