@@ -20,7 +20,7 @@ from .stages import Stages
 from .starts import other_starts
 from .texel_prior import FIXED, TexelEstimate, TexelPrior
 
-LIKELY = 3  # lobes that are tried in a texel: those most common among its look-alikes
+LIKELY = 8  # lobes that are tried in a texel: those most common among its look-alikes
 STEEPEST = 10.0  # slope of a normal: 84 degrees
 FAR_MORE = 30.0  # log of how much likelier than the present one a lobe may count
 
