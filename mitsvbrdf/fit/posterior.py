@@ -91,7 +91,8 @@ class OwnPhotos:
         free = (1 - len(self.names) / self.values.clamp_min(1)).clamp_min(LEAST_FREE)
         level = capture.photos.mean(dim=-1)
         parts = torch.linspace(0, 1, BRIGHTNESSES + 1)[1:-1]
-        of = torch.bucketize(level, level.flatten().quantile(parts)).flatten()
+        shown = level if capture.measured is None else level[capture.measured]
+        of = torch.bucketize(level, shown.flatten().quantile(parts)).flatten()
         square, count = (torch.zeros(BRIGHTNESSES).index_add_(0, of, value.sum(dim=-1).flatten())
                          for value in (capture.usable * error.square(), capture.usable * free[..., None]))
         noise2 = (square / count.clamp_min(1)).clamp_min(QUANTIZATION_NOISE**2)

@@ -69,7 +69,7 @@ def worker(captures, tmp_path):
 
 def maps_of(folder):
     return {str(path.relative_to(folder)): path.read_bytes() for part in ("maps", "uncertainty")
-            for path in sorted((folder / part).iterdir())}
+            for path in sorted((folder / part).rglob("*")) if path.is_file()}
 
 
 def test_a_worker_makes_the_maps_of_the_fit_command(worker, captures, tmp_path):

@@ -11,7 +11,8 @@ from mitsvbrdf.fit.checkpoint import load_tensors
 from mitsvbrdf.fit.config import HierarchicalConfig
 
 ENDED = {"calibrated_rmse": None, "per_photo": [0.01], "rerender_rmse": 0.01, "profile": None,
-         "deviations": {}, "warnings": (), "trace": [{"seconds": 31.4, "iteration": 90}]}
+         "deviations": {}, "deviations_with_look_alikes": {}, "record": {"confidence": {}}, "warnings": (),
+         "trace": [{"seconds": 31.4, "iteration": 90}]}
 SHOTS = SimpleNamespace(names=("00",), views=SimpleNamespace(falloff="inverse-square"))
 
 

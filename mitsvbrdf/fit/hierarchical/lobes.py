@@ -31,7 +31,7 @@ COMMON = 20.0  # texels whose worth the common spread counts as in that of each 
 # specular of dielectrics, metals and anything else in linear^(1/2.2): mean of the channels, its deviation,
 # that of the channels from it, and share
 KINDS = ((DIELECTRIC_F0 ** (1 / 2.2), 0.03, 0.02, 0.6), (0.82, 0.1, 0.1, 0.2), (0.5, 0.25, 0.15, 0.2))
-LIKE_OTHERS, NEAR = 0.8, 0.05  # how likely a lobe has the specular of another lobe, and how nearly so
+LIKE_OTHERS, NEAR = 0.8, 0.03  # how likely a lobe has the specular of another lobe, and how nearly so
 METAL, RARE = 0.55, 0.1  # specular from which a lobe is a metal's; how rare metals are beside others
 VAGUE = 1e-2  # precision of any number beforehand
 NOBODY = 1e-12  # least share of a lobe
@@ -52,7 +52,7 @@ class Lobes(NamedTuple):
 
     def shares(self, member: Tensor) -> Tensor:
         """Shares of the lobes in M texels, M x Q, by how much of each basis material these are, M x K."""
-        return (member.double() @ self.share).clamp_min(NOBODY)
+        return (member @ self.share.to(member.dtype)).clamp_min(NOBODY)
 
 
 class Posterior(NamedTuple):

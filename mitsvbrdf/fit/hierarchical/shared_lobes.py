@@ -93,7 +93,7 @@ class SharedLobes:
         side = scale.capture.resolution
         self.lobes = lobes
         self.prior.low[self.prior.slopes], self.prior.high[self.prior.slopes] = -STEEPEST, STEEPEST
-        self.rare = (-2 * lobes.shares(scale.member).log()).float().T.reshape(-1, side, side)
+        self.rare = (-2 * lobes.shares(scale.member).log()).T.reshape(-1, side, side)
 
     def having(self, answer: TexelEstimate, lobe: Tensor, at_mean: bool = False) -> TexelEstimate:
         """Texels with the priors of these lobes, R x R, and at their means where that is asked for."""

@@ -13,7 +13,6 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import cv2
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -67,6 +66,8 @@ def basis_materials(appearance: Tensor, count: int, seed: int) -> Tensor:
         count: K; fewer where there are fewer texels.
         seed: of k-means.
     """
+    import cv2
+
     cv2.setRNGSeed(seed % 2**31)
     count = min(count, len(appearance))
     stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, KMEANS_ROUNDS, 1e-4)
