@@ -73,9 +73,9 @@ by own photos is larger than its error.
 
 {sure}
 
-By the texel's own photos, as `fit` counts. What stays wrong: answers of metal whose highlight no photo \
-shows err in one direction, and its look-alikes, which err alike, make the fit too sure of them. A \
-material whose specular is the same everywhere is nearly all within one deviation, or nearly all beyond.
+By the texel's own photos, as `fit` counts. What stays wrong: bars of specular and roughness are too wide \
+where no photo shows the highlight, because texels then follow a lobe that others tell. A material whose \
+specular is the same everywhere is nearly all within one deviation, or nearly all beyond.
 
 ## Within one deviation, with look-alikes, by case
 
