@@ -35,6 +35,13 @@ def write_json(path: Path, value: object) -> None:
     write_bytes(path, (json.dumps(value, indent=1, allow_nan=False) + "\n").encode())
 
 
+def read_regular(path: Path, most: int) -> bytes:
+    """A regular file of so many bytes at most, else ValueError: a pipe or a device would be waited for."""
+    if not path.is_file() or path.stat().st_size > most:
+        raise ValueError(f"no regular file of {most >> 20} MiB at most")
+    return path.read_bytes()
+
+
 def write_bytes(path: Path, data: bytes) -> None:
     """Replace a file's content in one step."""
     with atomic_write(path) as temporary:

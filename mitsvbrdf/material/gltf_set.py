@@ -50,9 +50,7 @@ def gltf_set(path: Path, encoding: str | None, normal: NormalConvention | None) 
 
 def _parts(path: Path) -> tuple[dict, bytes]:
     """The JSON of a file, and the binary chunk of a .glb."""
-    if path.stat().st_size > LARGEST:
-        raise ValueError(f"larger than {LARGEST >> 20} MiB")
-    content = path.read_bytes()
+    content = files.read_regular(path, LARGEST)
     if content[:4] != b"glTF":
         return parsed(content), b""
     chunks, at = dict[bytes, bytes](), 12
@@ -143,6 +141,6 @@ def _view(document: dict, number: int, path: Path, binary: bytes) -> bytes:
     uri = document["buffers"][view["buffer"]].get("uri")
     if uri is not None:
         binary = (base64.b64decode(uri.partition(",")[2], validate=True) if uri.startswith("data:") else
-                  beside(path, unquote(uri)).read_bytes())
+                  files.read_regular(beside(path, unquote(uri)), LARGEST))
     begin = view.get("byteOffset", 0)
     return binary[begin:begin + view["byteLength"]]

@@ -14,6 +14,7 @@ import torch
 
 from .. import color
 from ..errors import MapsError
+from ..io.files import read_regular
 from ..io.json import error_text
 from .encoding import NormalConvention, asked_codes, code_of
 from .gltf_set import LARGEST, beside, placed_alike
@@ -28,8 +29,8 @@ def mtlx_set(path: Path, encoding: str | None, normal: NormalConvention | None) 
     """The one material of a document; MapsError for several, and for nodes that the reader does not know."""
     asked = asked_codes(encoding, normal)
     try:
-        if path.stat().st_size > LARGEST or b"<!DOCTYPE" in path.read_bytes().replace(b"\0", b"").upper():
-            raise ValueError(f"a DOCTYPE, or more than {LARGEST >> 20} MiB")
+        if b"<!DOCTYPE" in read_regular(path, LARGEST).replace(b"\0", b"").upper():
+            raise ValueError("a DOCTYPE")
         found = _Document(path).material()
     except (OSError, ValueError, LookupError, ArithmeticError, RecursionError, ET.ParseError) as reason:
         raise MapsError("a MaterialX document of one material, of image files and numbers", f"{path}: "

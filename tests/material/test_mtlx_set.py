@@ -1,5 +1,7 @@
 """Materials of MaterialX documents as libraries serve them, their values by the specification's formulas."""
 
+import os
+
 import numpy as np
 import pytest
 from PIL import Image
@@ -191,3 +193,10 @@ def test_our_own_documents_are_read_back_within_their_bits(made, file, tmp_path)
         first, again = (np.asarray(Image.open(tmp_path / side / "materialx/textures" / path.name)).astype(int)
                         for side in "ab")
         assert np.abs(first - again).max() <= 1, path.name
+
+
+@pytest.mark.parametrize("name", ["material.mtlx", "material.gltf", "material.glb"])
+def test_a_pipe_is_not_waited_for(name, tmp_path):
+    os.mkfifo(tmp_path / name)
+    with pytest.raises(MapsError, match=name):
+        load_maps(tmp_path / name)
