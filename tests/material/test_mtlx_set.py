@@ -200,6 +200,6 @@ def test_a_pipe_is_not_waited_for(tmp_path):
     pipe = tmp_path / "material.mtlx"
     os.mkfifo(pipe)
     # whoever does wait for it is not left waiting
-    threading.Thread(target=pipe.write_bytes, args=(b"",), daemon=True).start()
+    threading.Thread(target=lambda: [pipe.write_bytes(b"") for _ in range(9)], daemon=True).start()
     with pytest.raises(MapsError, match="regular file"):
         load_maps(tmp_path)
