@@ -124,7 +124,10 @@ def _said(error: BaseException) -> str | None:
 
 
 def _is_of_ctrl_c(error: BaseException | None) -> bool:
-    """Whether it is, or was, KeyboardInterrupt: Dr.Jit makes a RuntimeError of it, CPython a SystemError."""
-    while error is not None and not isinstance(error, KeyboardInterrupt):
+    """Whether it is, or was, KeyboardInterrupt: Dr.Jit makes a RuntimeError of it, CPython a SystemError.
+
+    Mitsuba keeps only the text of an error in a plugin's ``__init__``.
+    """
+    while not (error is None or isinstance(error, KeyboardInterrupt) or "KeyboardInterrupt" in str(error)):
         error = error.__cause__ or error.__context__
     return error is not None

@@ -86,6 +86,20 @@ def test_ctrl_c_in_a_render_of_mitsuba_ends_with_130(capsys):
         exit_code(fault)
 
 
+def test_ctrl_c_while_mitsuba_makes_a_plugin_ends_with_130(capsys):
+    # Mitsuba's parser makes a RuntimeError of it that has only its text.
+    mi = mitsuba_module("llvm_ad_rgb")
+
+    class Interrupted(mi.Texture):
+        def __init__(self, props: object) -> None:
+            super().__init__(props)
+            signal.raise_signal(signal.SIGINT)
+
+    mi.register_texture("interrupted", Interrupted)
+    assert exit_code(lambda: mi.load_dict({"type": "interrupted"}) and 0) == 130
+    assert capsys.readouterr().err == "interrupted\n"
+
+
 def test_the_signal_that_ends_more_comes_first():
     came = []
     before = {number: signal.signal(number, lambda number, _: came.append(number))
