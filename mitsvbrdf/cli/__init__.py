@@ -23,7 +23,7 @@ from ..errors import LARGEST, ConfigError, exit_code, plain_warnings
 from ..errors import strict as refused
 from ..io.files import check_names
 from ..io.signals import still_waiting
-from .renamed import check_gone, with_new_names
+from .renamed import with_new_names
 
 COMMANDS = ("capture", "fit", "batch", "library", "guess", "render", "evaluate", "compare", "crosscheck",
             "stability", "bench", "synth", "doctor", "export", "relight", "report", "sheet", "demo")
@@ -93,7 +93,6 @@ def _run(arguments: list[str]) -> int:
         except FileNotFoundError:  # torch does not load there
             raise ConfigError("a current folder", "one that was deleted",
                               "type cd to one that is there") from None
-        check_gone(name, options)
         if name in FITTING:
             from .fit import with_flags
             options = with_flags(options)

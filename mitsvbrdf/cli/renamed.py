@@ -5,24 +5,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 
-from ..errors import ConfigError
-
 # An option renamed in several commands has a line in each. A flag that help shows as --no-NAME has a line for
 # that form.
 RENAMED_COMMANDS = {"pretrain": "fit --method gan --preset paper-two-stage --pretrain"}
 FIT = {"--own": "--detail-spread", "--tails": "--highlight-reach", "--likeness": "--similarity",
        "--no-independent": "--no-remove-burn-in", "--no-rivals": "--no-multi-start", "--finish": "--detail",
        "--finish-steps": "--detail-steps"}
-RENAMED: dict[str, dict[str, str]] = {"fit": FIT, "batch": FIT, "bench": {"--left-out": "--held-out"},}
-# Options that are gone, and why.
-NO_GAIN = "it gained nothing on any material (docs/results/{}.md); leave it out"
-GAN = (dict.fromkeys(("--guessed-normal", "--highlight-aware", "--kl", "--integrated", "--marginalise"),
-                     NO_GAIN.format("lab-notes"))
-       | dict.fromkeys(("--average", "--fresh-pictures"), NO_GAIN.format("gan")))
-GONE: dict[str, dict[str, str]] = {
-    "fit": GAN, "batch": GAN, "relight": {
-        "--check": "a test of the package holds it; leave it out",
-        "--displacement": "normals shade; `export` writes heights for programs that displace"}}
+RENAMED: dict[str, dict[str, str]] = {"fit": FIT, "batch": FIT, "bench": {"--left-out": "--held-out"}}
 
 
 def with_new_names(arguments: Sequence[str]) -> list[str]:
@@ -51,15 +40,6 @@ def with_new_names(arguments: Sequence[str]) -> list[str]:
             said.add(old)
             found[i] = options[old] + equals + value
     return found
-
-
-def check_gone(command: str, options: Sequence[str]) -> None:
-    """Raise ConfigError for an option that the command once had."""
-    for word in options[:options.index("--")] if "--" in options else options:
-        name = word.partition("=")[0].replace("_", "-")
-        if name in GONE.get(command, {}):
-            raise ConfigError(f"an option of `mitsvbrdf {command}`", f"{name}, which is gone",
-                              GONE[command][name])
 
 
 def _say(old: str, new: str) -> None:

@@ -1,4 +1,4 @@
-"""What a user sees in a terminal or a notebook: one live line while a fit runs, small tables, plain notes."""
+"""What a user sees while something runs: one live line on a terminal, else plain lines; and small tables."""
 
 from __future__ import annotations
 
@@ -27,34 +27,6 @@ class _Console(Console):
 console = _Console(stderr=False, highlight=False)
 
 
-class Cell:
-    """Text below a notebook cell, replaced in place at most four times a second; the last one stays.
-
-    Jupyter, VS Code, Colab and pages of saved notebooks all show plain text. Rich's live displays need
-    ipywidgets, and a saved notebook does not show them.
-    """
-
-    WIDTH, SECONDS = 32, 0.25
-
-    def __init__(self, title: str) -> None:
-        from IPython.display import DisplayHandle
-        self.title, self.handle, self.due = title, DisplayHandle(), 0.0
-        self.shown = self.latest = ""
-
-    def show(self, text: str, share: float) -> None:
-        """Title, bar and text for this share done (0 to 1); those of share 1 at once."""
-        done = round(self.WIDTH * min(max(share, 0.0), 1.0))
-        self.latest = f"{self.title}  {'━' * done}{'─' * (self.WIDTH - done)}\n{share:4.0%}  {text}"
-        if share >= 1 or time.perf_counter() >= self.due:
-            self.close()
-
-    def close(self) -> None:
-        """Show what came last."""
-        if self.latest != self.shown:
-            (self.handle.update if self.shown else self.handle.display)({"text/plain": self.latest}, raw=True)
-            self.shown, self.due = self.latest, time.perf_counter() + self.SECONDS
-
-
 class Lines:
     """Plain lines: the first, one every ten seconds, and the last."""
 
@@ -73,14 +45,10 @@ class Lines:
 def progress_bar(title: str, lasting: bool = False) -> Iterator[Callable[[str, float], None]]:
     """Show progress; yields a function to call with (text, share done).
 
-    A terminal shows the text below the title, which stays at the end if ``lasting``. A notebook shows a
-    :class:`Cell`. Everything else gets :class:`Lines`.
+    A terminal shows the text below the title, which stays at the end if ``lasting``. Everything else, also a
+    notebook, gets :class:`Lines`.
     """
-    if console.is_jupyter:
-        with contextlib.closing(Cell(title)) as cell:
-            cell.show("", 0.0)
-            yield cell.show
-    elif not on_terminal():
+    if not on_terminal():
         say(title)
         yield Lines().show
     else:
@@ -91,8 +59,7 @@ def progress_bar(title: str, lasting: bool = False) -> Iterator[Callable[[str, f
 class Progress:
     """Error, losses, speed and time left of a fit: the ``report`` of :func:`mitsvbrdf.fit.fit_svbrdf`.
 
-    Best used as a context manager. Without, a terminal shows plain lines, and a notebook may miss the last
-    quarter of a second of an interrupted fit.
+    Best used as a context manager. Without, a terminal shows plain lines.
 
     Args:
         title: stands before the bar, or above the line.
@@ -101,7 +68,7 @@ class Progress:
     def __init__(self, title: str = "fit") -> None:
         self.title, self._shown = title, contextlib.ExitStack()
         self._first: tuple[int, float] | None = None
-        self._show: Callable[[str, float], None] = (Cell(title) if console.is_jupyter else Lines()).show
+        self._show: Callable[[str, float], None] = Lines().show
 
     def __enter__(self) -> Progress:
         self._show = self._shown.enter_context(progress_bar(self.title, lasting=True))

@@ -38,7 +38,6 @@ LARGEST_MAP = 512  # pixels a side on the page
 # bytes of a map's PNG; any of 256 px has less, and looked at closely it shows its texels
 EXACT_MAP = 256 * 1024
 LARGEST_PHOTO, SMALLEST_PHOTO, PHOTOS_WIDE = 512, 96, 768  # nine photos get 256 px, a hundred 96
-FORMER = "left_out", "left_out_rmse"  # keys of report.json of version 1.0
 # how far the error of a photo may be from what fit.json says; the same photos agree to float32, 1e-7
 SAME_PHOTO = 1e-4
 
@@ -132,9 +131,8 @@ def _earlier(found: Fit) -> tuple[list[dict], float | None]:
     """Held-out photos that an earlier page of this folder had."""
     try:
         record = load(found.path / "report.json")
-        held, rmse = ("held_out", "held_out_rmse") if "held_out_rmse" in record else FORMER
-        photos = [photo | {"held_out": True} for photo in record["photos"] if photo[held] is True]
-        error = record[rmse]
+        photos = [photo for photo in record["photos"] if photo["held_out"] is True]
+        error = record["held_out_rmse"]
         numbers = [int(photo["name"]) for photo in photos]
     except (OSError, ValueError, KeyError, TypeError):
         return [], None

@@ -37,10 +37,3 @@ def test_new_names_are_options_of_their_command(capsys):
         shown = capsys.readouterr().out
         for old, new in options.items():
             assert new in shown and f"{old} " not in shown, (name, old)
-
-
-@pytest.mark.parametrize("option", ["--guessed-normal", "--highlight_aware", "--kl=0.1"])
-def test_an_option_that_is_gone_is_one_clear_error(option, capsys):
-    assert cli.main(["fit", "photos", "--method", "gan", option]) == 2
-    error = capsys.readouterr().err
-    assert "which is gone" in error and error.count("\n") <= 3

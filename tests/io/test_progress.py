@@ -1,15 +1,15 @@
-"""What is seen while something runs: on a terminal, without one, and in a notebook."""
+"""What is seen while something runs: on a terminal, and without one."""
 
 import os
 import pty
 import subprocess
 import sys
 
-import notebooks
 import pytest
+from helpers import ROOT
 
 from mitsvbrdf.io import progress
-from mitsvbrdf.io.progress import Cell, Progress, print_numbers, progress_bar
+from mitsvbrdf.io.progress import Progress, print_numbers, progress_bar
 
 ENTRY = {"seconds": 1.5, "iteration": 6, "cost": 2.0, "rerender_rmse": 0.125}
 
@@ -20,28 +20,6 @@ def clock(monkeypatch):
     now = [1000.0]
     monkeypatch.setattr(progress.time, "perf_counter", lambda: now[0])
     return now
-
-
-@pytest.fixture
-def displays(monkeypatch):
-    """Every text that a notebook would be sent, beside whether it replaces the one before."""
-    pytest.importorskip("IPython")
-    sent = []
-
-    class Handle:
-        def display(self, data, raw):
-            sent.append((False, data["text/plain"]))
-
-        def update(self, data, raw):
-            sent.append((True, data["text/plain"]))
-
-    monkeypatch.setattr("IPython.display.DisplayHandle", Handle)
-    monkeypatch.setattr(progress.console, "is_jupyter", True)
-    return sent
-
-
-def bar(text):
-    return text.count("━") / (text.count("━") + text.count("─"))
 
 
 def test_without_a_terminal_a_line_every_ten_seconds(capsys, clock):
@@ -91,7 +69,7 @@ def on_a_terminal(code):
     """What this Python code writes to a terminal."""
     ours, theirs = pty.openpty()
     subprocess.run([sys.executable, "-c", code], stdout=theirs, check=True, timeout=60,
-                   env=os.environ | {"PYTHONPATH": str(notebooks.ROOT), "TERM": "xterm-256color",
+                   env=os.environ | {"PYTHONPATH": str(ROOT), "TERM": "xterm-256color",
                                      "COLUMNS": "200"})
     os.close(theirs)
     return os.read(ours, 100_000).decode()
@@ -110,51 +88,3 @@ def test_on_a_terminal_one_live_line():
     assert "a fit" in said and "100%" in said and "rmse 0.1250" in said
     # the cursor is hidden, and shown again
     assert "\x1b[?25l" in said and said.rindex("\x1b[?25h") > said.rindex("100%")
-
-
-def test_in_a_notebook_four_times_a_second_and_the_last(displays, clock):
-    with Progress("a fit") as report:
-        for step in range(2000):  # two seconds, a thousand reports in each
-            report(ENTRY | {"iteration": step}, step / 4000)
-            clock[0] += 1e-3
-    assert 8 <= len(displays) <= 1 + 4 * 2 + 1  # title, four a second, what came last
-    assert [update for update, _ in displays] == [False] + [True] * (len(displays) - 1)
-    text = displays[-1][1]
-    assert text.startswith("a fit  ━") and "iteration 1999" in text and "50%" in text
-    assert bar(text) == pytest.approx(0.5, abs=1 / Cell.WIDTH) and text.count("\n") == 1
-    assert bar(displays[0][1]) == 0
-
-
-def test_a_bar_in_a_notebook_stays_where_it_broke_off(displays, clock):
-    with pytest.raises(ZeroDivisionError), progress_bar("a sweep") as report:
-        report("one", 0.25)
-        report("two", 0.75)
-        raise ZeroDivisionError
-    assert "75%  two" in displays[-1][1] and bar(displays[-1][1]) == 0.75
-
-
-def test_a_real_kernel_keeps_the_last_of_it(tmp_path, monkeypatch):
-    nbformat = pytest.importorskip("nbformat")
-    cells = ["import sys\nprint(sys.executable)\nfrom mitsvbrdf.io.progress import Progress, "
-             "progress_bar\n"
-             f"entry = {ENTRY}",
-             "with Progress('first') as report:\n    for i in range(5000):\n        report(entry | "
-             "{'iteration': i}, i / 1e4)",
-             "report = Progress('second')\nreport(entry, 0.5)\nreport(entry, 1.0)",
-             "with progress_bar('third') as report:\n    report('nearly', 0.9)",
-             "'torch' in sys.modules"]
-    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in cells])
-    messages = notebooks.run(notebook, tmp_path, monkeypatch)
-    outputs = [cell.outputs for cell in notebook.cells]
-    assert outputs[0][0].text.strip() == sys.executable
-    assert outputs[4][0].data["text/plain"] == "False"
-    shown = []
-    for (output,) in outputs[1:4]:  # one display a cell, replaced in place, and no other output
-        assert output.output_type == "display_data" and set(output.data) == {"text/plain"}
-        shown.append(output.data["text/plain"])
-    assert "iteration 4999" in shown[0] and bar(shown[0]) == 0.5
-    assert bar(shown[1]) == 1 and "100%" in shown[1]
-    assert "90%  nearly" in shown[2] and bar(shown[2]) == pytest.approx(0.9, abs=1 / Cell.WIDTH)
-    assert messages.count("display_data") == 3
-    # of 5001 reports; four a second if the machine keeps up
-    assert 2 <= messages.count("update_display_data") < 500
