@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import os
 import signal
@@ -49,6 +50,39 @@ def coarse_spheres() -> None:
     from mitsvbrdf.relight import stage
 
     stage.SAMPLES = 1
+
+
+@pytest.fixture(scope="session", autouse=True)
+def materials_painted_once() -> None:
+    """A made material is painted once a process and seed: a third of a second, the third of some folders'
+    time. It becomes maps anew each time.
+    """
+    from mitsvbrdf.material.made import MATERIALS
+
+    def kept(paint):
+        made = {}
+
+        @functools.wraps(paint)
+        def painted(x, y, rng):
+            key = len(x), x.dtype, rng.initial_seed()
+            if key not in made and (len(x) > 512 or len(made) > 3):  # 8 MB each
+                return paint(x, y, rng)
+            if key not in made:
+                made[key] = paint(x, y, rng)
+            return made[key]
+
+        return painted
+
+    MATERIALS.update({name: kept(paint) for name, paint in MATERIALS.items()})
+
+
+@pytest.fixture
+def painted_anew(monkeypatch):
+    """Made materials are painted each time, as outside of tests."""
+    from mitsvbrdf.material.made import MATERIALS
+
+    for name, paint in MATERIALS.items():
+        monkeypatch.setitem(MATERIALS, name, paint.__wrapped__)
 
 
 @pytest.fixture(scope="session", autouse=True)

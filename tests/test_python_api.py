@@ -18,6 +18,7 @@ from mitsvbrdf.verify.crosscheck import crosscheck
 
 RESOLUTION = 16
 DIRECT = mv.DirectConfig(iterations=2, guess="min")
+pytestmark = pytest.mark.usefixtures("painted_anew")
 
 
 @contextlib.contextmanager

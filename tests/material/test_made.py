@@ -7,6 +7,7 @@ from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.material.made import MATERIALS, make_material
 
 NAMES = list(MATERIALS)
+pytestmark = pytest.mark.usefixtures("painted_anew")
 
 
 @pytest.mark.parametrize("name", NAMES)
