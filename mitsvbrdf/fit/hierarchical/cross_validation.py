@@ -18,8 +18,8 @@ import torch
 from torch import Tensor
 
 from .solver import Observations, TexelSolver
-from .starts import stepped
-from .texel_prior import LEAST_PRECISION, TexelEstimate, TexelPrior
+from .starts import stepped, variances
+from .texel_prior import TexelEstimate, TexelPrior
 
 # Of display values. With a photo less, more is asked for than all of them need: of six real captures that
 # asked for 0.12 or 0.18, four predicted photos that no fit saw as well or better with 0.08, one 2 % worse and
@@ -59,8 +59,7 @@ def prediction_errors(photos: Observations, solver: TexelSolver, prior: TexelPri
             told, answer = replace(others, noise=noise, robust=robust), start
             for _ in range(ROUNDS):
                 answer = answer._replace(x=stepped(solver, told, answer, prior, STEPS).x)
-                answer = prior.loosen(answer, solver.variances(told, answer.x,
-                                                              answer.precision + LEAST_PRECISION))
+                answer = prior.loosen(answer, variances(solver, told, answer))
             errors[row, column] = solver.normal_equations(alone, answer.x)[0].mean() / 3
     return errors
 

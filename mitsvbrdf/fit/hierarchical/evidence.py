@@ -8,7 +8,6 @@ Vaart 2000). Around each of these answers its photos are a Gaussian of the share
 
 from __future__ import annotations
 
-from copy import copy
 from typing import NamedTuple
 
 import torch
@@ -55,15 +54,13 @@ def searched(solver: TexelSolver, photos: Observations, prior: TexelPrior,
         prior: of the unknowns, roughness among them.
         x: the first start, U x R x R.
     """
-    found, lobe = [x] * len(WIDTHS), prior.unknowns.of("roughness")
+    found = [x] * len(WIDTHS)
     best, least = x, torch.full_like(x[0], torch.inf, dtype=torch.float64)
     upwards = range(len(WIDTHS))
     for turn, order in enumerate((upwards, reversed(upwards))):
         last = x
         for k in order:
-            held = copy(prior)
-            held.low, held.high = prior.low.clone(), prior.high.clone()
-            held.low[lobe] = held.high[lobe] = WIDTHS[k]
+            held = prior.within("roughness", WIDTHS[k], WIDTHS[k])
             last, errors = least_errors(solver, photos, held, [found[k], last], 1, STEPS, turn)
             found[k] = last
             best, least = torch.where(errors < least, last, best), errors.minimum(least)

@@ -11,9 +11,11 @@ from ...views import Views, coverage_angle, geometry
 from ..config import HierarchicalConfig
 from .scales import Scale
 from .sensor_noise import noise_at
-from .solver import Observations
+from .solver import Observations, Solved
 from .stages import Stages
-from .texel_prior import TexelEstimate
+from .starts import stepped
+from .texel_prior import TexelEstimate, TexelPrior
+from .time_budget import TimeBudget
 from .view_corrections import ViewCorrections
 
 ROBUST = 3.0  # errors beyond so many times the noise count by their size alone
@@ -30,11 +32,13 @@ class ObservationModel:
         stages: where the fit stands.
         corrections: where camera and flash stood.
         config: settings.
+        budget: learns what steps take.
     """
 
     stages: Stages
     corrections: ViewCorrections
     config: HierarchicalConfig
+    budget: TimeBudget
 
     def observations(self, scale: Scale, estimate: TexelEstimate) -> Observations:
         """The photos; while texels are tied to look-alikes, pixels near highlights count most."""
@@ -47,6 +51,11 @@ class ObservationModel:
             weights = capture.measured * (1 if weights is None else weights)
         return Observations(capture.photos, self.corrections.applied(capture.views), capture.transfer, noise,
                             (ROBUST_END if scale.free else ROBUST) * noise, weights)
+
+    def stepped(self, scale: Scale, answer: TexelEstimate, prior: TexelPrior, steps: int) -> Solved:
+        """The texels after some steps."""
+        with self.budget.timed("solver", steps * answer.x[0].numel()):
+            return stepped(scale.solver, self.observations(scale, answer), answer, prior, steps)
 
     def without_burn_in(self, planes: Tensor, scale: Scale, estimate: TexelEstimate) -> Tensor:
         """Shared unknowns that do not follow the highlights of real photos."""

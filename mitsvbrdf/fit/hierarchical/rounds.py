@@ -14,8 +14,7 @@ learned from all of them (:mod:`.shared_lobes`), or have none where none is need
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import cached_property, partial
+from functools import partial
 
 import torch
 from torch import Tensor
@@ -30,17 +29,17 @@ from ..config import HierarchicalConfig
 from ..method import Method
 from ..start import robust_start
 from ..task import FitTask
-from .cross_validation import AGREED, NOISES, in_turn, least_as_good, prediction_errors, steps_of_turns
 from .evidence import SEARCH_STEPS
-from .observations import ROBUST_END, ObservationModel
+from .exact_photos import ExactPhotos
+from .observations import ObservationModel
 from .omitted import omitted_stages
-from .scales import Scale, Scales
-from .shared_lobes import SharedLobes
-from .solver import Observations, Solved
-from .specular_test import Search, decision_work, explained_without, may_be_omitted, without_lobe
+from .real_photos import RealPhotos
+from .scales import Scales
+from .shared_lobes import TRIED
+from .specular_test import Search
 from .stages import NOISE, Stage, Stages, unexplained
-from .starts import LESS, other_starts, stepped
-from .texel_prior import LEAST_PRECISION, TexelEstimate
+from .starts import LESS, other_starts
+from .texel_prior import TexelEstimate, TexelPrior
 from .time_budget import FAR_STEPS, LAST_STEPS, OTHER_STEPS, ROUND_STEPS, STEPS, TimeBudget
 from .view_corrections import LEVELLED, REFINED, ViewCorrections
 
@@ -63,18 +62,30 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.task, capture, config = task, task.capture, task.config
         self.variant = task.renderer.variant or "llvm_ad_rgb"
         self.corrections = ViewCorrections(capture, task.refined, self.fits_offset)
-        self.search = Search.of(Scales(capture, task.guess, self.fixed, config, self.variant))
-        self.scales, self.prior = self.search
-        self.scale = self.scales.of(Stage.ALONE)
-        self.stages = Stages(config.multi_start and "roughness" in self.prior.unknowns.shapes, config.exact)
+        search = Search.of(Scales(capture, task.guess, self.fixed, config, self.variant))
+        self.scale = search.scales.of(Stage.ALONE)
+        self.stages = Stages(config.multi_start and "roughness" in search.prior.unknowns.shapes, config.exact)
         self.stages.believe(config.noise or NOISE)
-        seen = ObservationModel(self.stages, self.corrections, config)
-        self.observations, self.without_burn_in = seen.observations, seen.without_burn_in
-        self.lobes = SharedLobes(self.prior)
         self.budget = TimeBudget(config.budget, self.stages, capture.resolution**2)
-        self.closed: TexelEstimate | None = None  # what the present answer ends in, once it was asked for
+        self.seen = ObservationModel(self.stages, self.corrections, config, self.budget)
+        self.exact, self.real = ExactPhotos(task, search, self.seen), RealPhotos(search, self.seen)
         self.cut = False  # whether the time left was too short for the whole of the latest round
         self.answer = self.start()
+
+    @property
+    def scales(self) -> Scales:
+        """The sizes that the stages work at."""
+        return self.exact.present.scales
+
+    @property
+    def prior(self) -> TexelPrior:
+        """Of the texels."""
+        return self.exact.prior
+
+    @property
+    def photos(self) -> ExactPhotos | RealPhotos:
+        """What is special about these photos."""
+        return self.real if self.stages.tied else self.exact
 
     def start(self) -> TexelEstimate:
         """The robust start with a vague prior around it."""
@@ -88,15 +99,19 @@ class Hierarchical(Method[HierarchicalConfig]):
         if stages.over(progress, short=not self.budget.in_time(ROUND_STEPS * self.scale.texels)):
             self._begin_next_stage()
         if stages.tied and stages.stage == Stage.FINE and not self.budget.in_time(self.scale.texels):
-            self._closed(more=1)
+            self.real.close(self.answer, self.scale, more=1)
             return {}
-        self.closed = None
+        self.real.closed = None
         stages.begin_round()
         with profiled("solver"):
-            cost = self._search() if stages.stage == Stage.MULTI_START and not self.lobes else self.solve()
+            if stages.stage == Stage.MULTI_START and not self.exact.lobes:
+                self.answer, cost = self.exact.multi_start(self.scale, self.answer, self.variant)
+            else:
+                cost = self.solve()
         self._move_views()
         with profiled("sharing"):
-            self.answer = self._tied(self.scale, self.observations(self.scale, self.answer), self.answer)
+            self.answer = self.photos.next_prior(self.scale, self.seen.observations(self.scale, self.answer),
+                                                 self.answer)
         if self.cut:
             stages.repeat_round()
         return {"cost": float(cost)}
@@ -105,7 +120,8 @@ class Hierarchical(Method[HierarchicalConfig]):
         if self.stages.stage == Stage.ALONE:
             self.stages.judge(unexplained(self.preview(), self.corrections.applied(self.views),
                                           self.scale.capture, make_renderer("mitsuba", self.variant)))
-            self._leave_lobe_out()
+            if found := self.exact.omit_lobe(self.answer):
+                self.scale, self.answer = found
         in_time = self.budget.in_time(SEARCH_STEPS * self.scale.texels, beside=STEPS)
         stage = self.stages.next(in_time)
         hurried = not self.stages.finished or self.stages.stage == Stage.ALONE and not in_time
@@ -114,65 +130,11 @@ class Hierarchical(Method[HierarchicalConfig]):
             self.scale = self.scales.of(stage)
             self.answer = self.start()
         if stage == Stage.FINE:
-            turns = steps_of_turns(len(self.capture)) * self.scales.of(Stage.ALONE).texels
-            hurried = hurried or not (self.stages.exact
-                                      or self.budget.in_time(turns, beside=ROUND_STEPS - STEPS))
-            self.scale, self.answer = self._at_full_size(learn=not hurried)
+            if self.stages.tied:
+                hurried = hurried or not self.real.may_learn
+                self.real.learn_noise(self.answer, self.scale, hurried)
+            self.scale, self.answer = self.photos.at_full_size(self.answer, self.scale)
         self.stages.enter(stage, hurried)
-
-    def _leave_lobe_out(self) -> None:
-        """Omit the search for a specular lobe if the first stage is finished and the photos need none."""
-        stages, found = self.stages, None
-        asked = stages.exact and stages.finished and may_be_omitted(self.task)
-        if asked and self.budget.in_time(decision_work(self.search.scales)):
-            with profiled("solver"):
-                found = explained_without(self.answer, self.search, self.lobeless, stages.unexplained[1],
-                                          self.observations)
-        if found:
-            stages.matte, (self.scale, self.answer), (self.scales, self.prior) = True, found, self.lobeless
-
-    @cached_property
-    def lobeless(self) -> Search:
-        """The search without a lobe."""
-        return without_lobe(self.search)
-
-    def _at_full_size(self, learn: bool = False) -> tuple[Scale, TexelEstimate]:
-        """The present answer enlarged; tied texels are free, and learn how far to believe their photos."""
-        fine = self.scales.of(Stage.FINE)
-        if self.lobes:
-            return fine, self.lobes.enlarged(self.answer, fine)
-        if self.stages.exact:
-            return fine, self.prior.enlarge(self.answer, self.scale, fine, False)
-        if learn and self.config.noise is None and in_turn(len(self.capture)):
-            with profiled("noise"):
-                self.stages.believe(self._noise_of_detail(fine))
-        return self.scales.of(Stage.FINE, free=True), self._freed(self.answer, fine)
-
-    def _freed(self, answer: TexelEstimate, fine: Scale) -> TexelEstimate:
-        return self.prior.free(self.prior.enlarge(answer, self.scale, fine, True))
-
-    def _noise_of_detail(self, fine: Scale) -> float:
-        """The noise of photos of a phone at full size, by which each is predicted well from the others."""
-        turns, scale, starts = in_turn(len(self.capture)), self.scale, dict[int, TexelEstimate]()
-        every = self.observations(scale, self.answer)
-        for photo in turns:
-            others, answer = every.without(photo), self.answer
-            for _ in range(AGREED):
-                answer = self._tied(scale, others, answer._replace(
-                    x=stepped(scale.solver, others, answer, self.prior, STEPS).x))
-            free, some = self._freed(answer, fine), self.scales.sampled
-            starts[photo] = TexelEstimate(some(free.x), some(free.mean), some(free.precision), free.spread)
-        sharp = self.scales.of(Stage.ALONE)
-        photos = replace(self.observations(sharp, self.answer), robust=ROBUST_END * NOISE, noise=NOISE,
-                         weights=sharp.capture.measured)
-        return NOISES[least_as_good(prediction_errors(photos, sharp.solver, self.prior, starts, NOISES))]
-
-    def _search(self) -> Tensor:
-        """Learn the noise of exact photos and the lobes that texels share; returns the mean cost."""
-        self.answer, cost = self.lobes.search(
-            self.scale, self.answer, lambda: replace(self.observations(self.scale, self.answer), robust=None),
-            self.stages, make_renderer("mitsuba", self.variant), self.config.seed)
-        return cost
 
     @property
     def done(self) -> bool:
@@ -181,7 +143,7 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def solve(self) -> Tensor:
         """Solve every texel, then try other starts where they lead to less; returns the mean cost."""
-        fine, turn, lobes = self.stages.stage == Stage.FINE, self.stages.rounds, self.lobes
+        fine, turn, lobes = self.stages.stage == Stage.FINE, self.stages.rounds, self.exact.lobes
         steps = self.budget.steps(STEPS, self.budget.to_come) if fine else STEPS
         others = FAR_STEPS if lobes else OTHER_STEPS
         self.cut, (answer, cost) = steps < STEPS, self._scored(self.answer, steps)
@@ -193,7 +155,7 @@ class Hierarchical(Method[HierarchicalConfig]):
             other, its = self._scored(start(answer), others)
             better = its < cost * (1 - LESS)
             answer, cost = answer.where(better, other), torch.where(better, its, cost)
-        last = (lobes.tried * others + LAST_STEPS) * self.scale.texels
+        last = (TRIED * others + LAST_STEPS) * self.scale.texels
         if lobes and self.stages.settled and not self.cut and self.budget.in_time(last):
             answer = lobes.averaged(answer, cost, partial(self._scored, steps=others))
             answer, _ = self._scored(answer, LAST_STEPS)
@@ -202,10 +164,10 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def _scored(self, answer: TexelEstimate, steps: int) -> tuple[TexelEstimate, Tensor]:
         """An answer after some steps, and the cost of each texel."""
-        found = self._stepped(self.scale, answer, steps)
+        found = self.seen.stepped(self.scale, answer, self.prior, steps)
         answer, cost = answer._replace(x=found.x), found.data + found.prior
-        if len(answer.lobe):
-            cost += self.lobes.improbability(self.scale, self.observations(self.scale, answer), answer)
+        if lobes := self.exact.lobes:
+            cost += lobes.improbability(self.scale, self.seen.observations(self.scale, answer), answer)
         return answer, cost
 
     def _move_views(self) -> None:
@@ -223,54 +185,16 @@ class Hierarchical(Method[HierarchicalConfig]):
                     self.answer, _ = self.prior.levelled(self.answer)
                 self.corrections.refine(self.preview(), self.scale.capture)
 
-    def _tied(self, scale: Scale, photos: Observations, answer: TexelEstimate) -> TexelEstimate:
-        """The answer with the prior of the next round, from what texels are seen to be."""
-        prior, precision = self.prior, answer.precision + LEAST_PRECISION
-        variance = scale.solver.variances(photos, answer.x, precision)
-        if scale.free:
-            return prior.loosen(answer, variance)
-        if self.lobes:
-            fine = self.stages.stage == Stage.FINE
-            answer = answer if fine else self.lobes.learn_anew(scale, photos, answer)
-            return prior.with_relief(answer, variance, tied=False)
-        return prior.share(answer, variance, scale.member, len(photos.views), self.stages.tied,
-                           lambda planes: self.without_burn_in(planes, scale, answer))
-
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The present maps at full size, of tied texels with the freedom that they have in the end."""
-        x = enlarged(self._closed() if self.stages.tied else self.answer.x, self.capture.resolution)
+        x = enlarged(self.real.close(self.answer, self.scale) if self.stages.tied else self.answer.x,
+                     self.capture.resolution)
         views, solver = self.corrections.applied(self.views), self.scales.solver(x.shape[-1])
         return solver.svbrdf(x).map(Tensor.contiguous), views
 
     def preview(self) -> SVBRDF:
         """The present answer as it is, at the size of the present stage."""
         return self.scale.solver.svbrdf(self.answer.x)
-
-    def _closed(self, more: int = 0) -> Tensor:
-        """The answer with what the photos burnt in taken out, and the diffuse map that belongs to it.
-
-        Before the last stage: of an answer as if that stage began now. Steps that cannot end in time are left
-        out.
-
-        Args:
-            more: steps to take where the answer has been closed already.
-        """
-        scale, answer, prior, steps = self.scale, self.closed or self.answer, self.prior, more
-        if self.closed is None:
-            if self.stages.stage != Stage.FINE:
-                scale, answer = self._at_full_size()
-                steps = self.budget.steps(LAST_STEPS, self.budget.to_come + LAST_STEPS)
-                answer = answer._replace(x=self._stepped(scale, answer, steps).x)
-            x = answer.x.clone()
-            x[prior.shared] = prior.bounded(self.without_burn_in(x[prior.shared], scale, answer),
-                                            prior.shared)
-            answer, steps = prior.fixed_but_diffuse(answer._replace(x=x)), self.budget.steps(LAST_STEPS)
-        self.closed = answer._replace(x=self._stepped(scale, answer, steps).x) if steps else answer
-        return self.closed.x
-
-    def _stepped(self, scale: Scale, answer: TexelEstimate, steps: int) -> Solved:
-        with self.budget.timed("solver", steps * answer.x[0].numel()):
-            return stepped(scale.solver, self.observations(scale, answer), answer, self.prior, steps)
 
     @property
     def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
@@ -284,17 +208,16 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def state(self) -> dict[str, Tensor]:
         """The states of its parts."""
-        parts = self.answer._asdict(), *(part.state() for part in (self.stages, self.corrections, self.lobes,
+        parts = self.answer._asdict(), *(part.state() for part in (self.stages, self.corrections, self.exact,
                                                                    self.budget))
         return {name: value.clone() for part in parts for name, value in part.items()}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
         self.answer = TexelEstimate(**{name: state[name].clone() for name in TexelEstimate._fields})
-        self.closed = None
+        self.real.closed = None
         for part in (self.stages, self.corrections, self.budget):
             part.load_state(state)
-        self.scales, self.prior = self.lobeless if self.stages.matte else self.search
         stage = self.stages.stage
         self.scale = self.scales.of(stage, free=self.stages.tied and stage == Stage.FINE)
-        self.lobes.load_state(state, self.scale)
+        self.exact.load_state(state, self.scale)

@@ -7,9 +7,10 @@ from collections.abc import Callable
 from functools import partial
 
 import torch
+from torch import Tensor
 
 from .solver import Observations, Solved, TexelSolver
-from .texel_prior import TexelEstimate, TexelPrior
+from .texel_prior import LEAST_PRECISION, TexelEstimate, TexelPrior
 
 DAMPING = 0.01  # that Levenberg-Marquardt starts with
 LESS = 1e-3  # share of its cost that a texel must save to take another start
@@ -22,6 +23,11 @@ def stepped(solver: TexelSolver, observations: Observations, answer: TexelEstima
     """Levenberg-Marquardt steps of every texel from an estimate, within bounds and with its prior."""
     return solver.solve(observations, answer.x, torch.full_like(answer.x[0], DAMPING), answer.mean,
                         answer.precision, prior.low, prior.high, count)
+
+
+def variances(solver: TexelSolver, observations: Observations, answer: TexelEstimate) -> Tensor:
+    """Of the unknowns, given photos and prior, U x R x R."""
+    return solver.variances(observations, answer.x, answer.precision + LEAST_PRECISION)
 
 
 def other_starts(prior: TexelPrior, turn: int) -> list[Callable[[TexelEstimate], TexelEstimate]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from copy import copy
 from typing import NamedTuple
 
 import torch
@@ -68,7 +69,15 @@ class TexelPrior:
     def __init__(self, unknowns: Unknowns, config: HierarchicalConfig) -> None:
         self.unknowns, self.config = unknowns, config
         self.shared, self.slopes = unknowns.of(*SHARED), unknowns.of("normal")
+        self.names = [unknowns.names[i] for i in self.shared]  # of the shared ones
         self.low, self.high = torch.tensor([BOUNDS.get(name, (0.0, 1.0)) for name in unknowns.names]).T
+
+    def within(self, name: str, low: float, high: float) -> TexelPrior:
+        """The same with other bounds of the numbers of a map."""
+        other, of = copy(self), self.unknowns.of(name)
+        other.low, other.high = (bound.index_fill(0, of, end) for bound, end in
+                                 ((self.low, low), (self.high, high)))
+        return other
 
     def bounded(self, values: Tensor, of: Tensor | slice = slice(None)) -> Tensor:  # noqa: B008
         """Values of some unknowns, of all if left out, brought into their bounds."""
@@ -82,11 +91,11 @@ class TexelPrior:
     def vague(self, x: Tensor) -> TexelEstimate:
         """A start with a vague prior around it."""
         x = self.bounded(x).contiguous()
-        spread = torch.tensor([VAGUE[self.unknowns.names[i]] for i in self.shared])
+        spread = torch.tensor([VAGUE[name] for name in self.names])
         return TexelEstimate(x, x.clone(), self._precision(x, VAGUE.__getitem__), spread)
 
     def share(self, answer: TexelEstimate, variance: Tensor, member: Tensor, photos: int, tied: bool,
-              corrected: Callable[[Tensor], Tensor]) -> TexelEstimate:
+              corrected: Callable[[Tensor], Tensor] = Tensor.contiguous) -> TexelEstimate:
         """Look-alikes set the prior of specular and roughness; the relief seen sets that of normals.
 
         Args:
@@ -99,10 +108,9 @@ class TexelPrior:
         """
         mean, precision, spread = answer.mean.clone(), answer.precision.clone(), answer.spread
         if len(self.shared):
-            names = [self.unknowns.names[i] for i in self.shared]
             x, unsure, *prior = (t[self.shared].flatten(1)
                                  for t in (answer.x, variance, answer.mean, answer.precision))
-            found, tau, spread = shared(names, x, unsure, prior[0], prior[1], member, answer.spread,
+            found, tau, spread = shared(self.names, x, unsure, prior[0], prior[1], member, answer.spread,
                                         0 if tied else photos)
             mean[self.shared] = corrected(found.reshape(-1, *answer.x.shape[1:]))
             nearest = tau.clamp_max(self.config.spread) if tied else tau

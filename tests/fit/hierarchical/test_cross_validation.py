@@ -116,7 +116,7 @@ def test_a_noise_that_was_given_or_cannot_be_found(two_stages, phone, capture):
 
 
 def test_where_the_time_is_short_nothing_is_left_out(two_stages, phone, monkeypatch):
-    monkeypatch.setattr("mitsvbrdf.fit.hierarchical.rounds.prediction_errors", None)
+    monkeypatch.setattr("mitsvbrdf.fit.hierarchical.real_photos.prediction_errors", None)
     method = method_of(photos_of(make_material("leather", SIDE)))
     while method.stages.stage != Stage.FINE:
         method.step(0.6)

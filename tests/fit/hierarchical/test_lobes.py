@@ -105,7 +105,7 @@ def alone():
 def test_evidence_by_solving_again(alone):
     method, truth = alone
     scale, prior = method.scale, method.prior
-    photos = replace(method.observations(scale, method.answer), robust=None, noise=0.01)
+    photos = replace(method.seen.observations(scale, method.answer), robust=None, noise=0.01)
     x = prior.bounded(scale.solver.numbers(truth)).contiguous()
     answer = method.answer._replace(x=x, mean=x, precision=torch.full_like(x, LEAST_PRECISION))
     answer.precision[prior.shared] = 1e10  # held; own numbers find their best

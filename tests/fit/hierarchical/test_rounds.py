@@ -18,7 +18,7 @@ from mitsvbrdf.material.maps import CHANNELS
 
 def cost_of(method, x, mean, precision):
     """The cost of each texel at x in float64, by the analytic renderer."""
-    seen, noise = method.observations(method.scale, method.answer), float(method.stages.noise)
+    seen, noise = method.seen.observations(method.scale, method.answer), float(method.stages.noise)
     shown = color.encode(TWIN.render(method.scale.solver.svbrdf(x.double()), seen.views), seen.transfer)
     error = shown - seen.photos.double()
     error = torch.where(seen.photos >= 0.995, error.clamp_max(0), error) / noise

@@ -95,7 +95,7 @@ def test_independent_weakens_a_cubic_trend_and_leaves_the_pattern(capture, phone
     level = (trust * out).sum(dim=(1, 2), keepdim=True) / trust.sum()
 
     def corrected(planes):
-        return method.without_burn_in(planes, method.scale, method.answer)
+        return method.seen.without_burn_in(planes, method.scale, method.answer)
 
     found = corrected(given)
     # float32 of numbers up to 1
@@ -161,11 +161,11 @@ def test_at_full_size_texels_are_free_and_pixels_alike(two_stages, phone, captur
     method = method_of(capture)
     while method.stages.stage != Stage.TOGETHER:
         method.step(0.0)
-    seen = method.observations(method.scale, method.answer)
+    seen = method.seen.observations(method.scale, method.answer)
     assert seen.weights is not None and seen.robust == pytest.approx(3 * 0.03)
     while method.stages.stage != Stage.FINE:
         method.step(0.0)
-    seen = method.observations(method.scale, method.answer)
+    seen = method.seen.observations(method.scale, method.answer)
     assert seen.weights is None and seen.robust == pytest.approx(10 * float(method.stages.detail))
     # The first round has loosened them: normals by what this leather needs, the others by their start at
     # least.

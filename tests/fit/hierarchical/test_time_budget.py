@@ -5,7 +5,14 @@ import torch
 from helpers import photos_of
 from helpers.hierarchical_fits import method_of
 
-from mitsvbrdf.fit.hierarchical import cross_validation, rounds, scales, specular_test, starts
+from mitsvbrdf.fit.hierarchical import (
+    cross_validation,
+    observations,
+    real_photos,
+    scales,
+    specular_test,
+    starts,
+)
 from mitsvbrdf.fit.hierarchical.omitted import CROSS_VALIDATION, VIEWS
 from mitsvbrdf.fit.hierarchical.stages import Stage, Stages
 from mitsvbrdf.fit.hierarchical.time_budget import LAST_STEPS, OTHER_STEPS, STEPS, TimeBudget
@@ -47,7 +54,7 @@ def timed(shots, monkeypatch):
             clock.work("solver", answer.x.shape[-1], count)
             return starts.stepped(solver, photos, answer, prior, count)
 
-        for where in (rounds, cross_validation, specular_test):
+        for where in (observations, real_photos, cross_validation, specular_test):
             monkeypatch.setattr(where, "stepped", stepped)
         monkeypatch.setattr(method.corrections, "refine", lambda maps, _: clock.work("views", maps.resolution,
                                                                                method.corrections.work))
@@ -114,11 +121,11 @@ def test_the_question_whether_a_material_is_matte_is_not_asked_where_it_cannot_e
     while not method.stages.finished:
         method.step(0.0)
     method.stages.judge(torch.zeros(2))
-    asked = specular_test.decision_work(method.search.scales) / SIDE**2
+    asked = specular_test.decision_work(method.scales) / SIDE**2
     for left, counts in ((asked - 1, set()), (asked + STEPS + LAST_STEPS + 1, {specular_test.STEPS})):
         clock.calls.clear()
         method.budget.end = clock.now + left
-        method._leave_lobe_out()
+        method.exact.omit_lobe(method.answer)
         assert {count for _, _, count in clock.calls} & {specular_test.STEPS} == counts
 
 
@@ -149,7 +156,7 @@ def test_a_round_that_was_cut_is_made_again(timed):
     assert clock.calls[2:] == [("solver", SIDE, LAST_STEPS)] and clock.now == method.budget.end
     method.budget.end = AMPLE * 2
     method.step(0.5)
-    assert method.stages.rounds == 2 and method.closed is None
+    assert method.stages.rounds == 2 and method.real.closed is None
 
 
 def test_a_stage_whose_rounds_are_too_long_ends_once_it_is_known_what_a_round_takes():

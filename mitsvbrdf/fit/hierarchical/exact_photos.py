@@ -1,0 +1,95 @@
+"""Stages of exact photos: no lobe where none is needed, else lobes that texels share (multi-start)."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+from torch import Tensor
+
+from ...io.profile import profiled
+from ...render import make_renderer
+from ..checkpoint import part
+from ..config import HierarchicalConfig
+from ..task import FitTask
+from .lobes import Lobes
+from .observations import ObservationModel
+from .scales import Scale
+from .shared_lobes import SharedLobes
+from .solver import Observations
+from .specular_test import Search, decision_work, explained_without, may_be_omitted, without_lobe
+from .stages import Stage
+from .starts import variances
+from .texel_prior import TexelEstimate, TexelPrior
+
+
+class ExactPhotos:
+    """What is special about exact photos, and about those that are not known yet.
+
+    Args:
+        task: what to fit.
+        search: all unknowns.
+        seen: the photos.
+    """
+
+    def __init__(self, task: FitTask[HierarchicalConfig], search: Search, seen: ObservationModel) -> None:
+        self.task, self.search, self.seen = task, search, seen
+        self.lobes: SharedLobes | None = None
+
+    @property
+    def present(self) -> Search:
+        """The search as it is now: without a lobe, once it is omitted."""
+        return self.lobeless if self.seen.stages.matte else self.search
+
+    @property
+    def prior(self) -> TexelPrior:
+        """Of the texels as they are now."""
+        return self.lobes.prior if self.lobes else self.present.prior
+
+    @cached_property
+    def lobeless(self) -> Search:
+        """The search without a lobe."""
+        return without_lobe(self.search)
+
+    def omit_lobe(self, answer: TexelEstimate) -> tuple[Scale, TexelEstimate] | None:
+        """The answer at full size without a lobe, if the first stage is finished and the photos need none."""
+        stages, found = self.seen.stages, None
+        asked = stages.exact and stages.finished and may_be_omitted(self.task)
+        if asked and self.seen.budget.in_time(decision_work(self.search.scales)):
+            with profiled("solver"):
+                found = explained_without(answer, self.search, self.lobeless, stages.unexplained[1],
+                                          self.seen.observations)
+        stages.matte = found is not None
+        return found
+
+    def multi_start(self, scale: Scale, answer: TexelEstimate, variant: str) -> tuple[TexelEstimate, Tensor]:
+        """Learn the noise of the photos and the lobes that texels share; the answer and its mean cost."""
+        self.lobes, answer, cost = SharedLobes.searched(self.prior, scale, answer, self.seen,
+                                                        make_renderer("mitsuba", variant))
+        return answer, cost
+
+    def at_full_size(self, answer: TexelEstimate, scale: Scale) -> tuple[Scale, TexelEstimate]:
+        """An answer of a coarse scale enlarged."""
+        fine = self.present.scales.of(Stage.FINE)
+        if not self.lobes:
+            return fine, self.prior.enlarge(answer, scale, fine, tied=False)
+        self.lobes = SharedLobes.at(self.lobes.lobes, self.prior, fine)
+        return fine, self.lobes.enlarged(answer, fine)
+
+    def next_prior(self, scale: Scale, photos: Observations, answer: TexelEstimate) -> TexelEstimate:
+        """The answer with the prior of the next round, from what texels are seen to be."""
+        variance = variances(scale.solver, photos, answer)
+        if not self.lobes:
+            return self.prior.share(answer, variance, scale.member, len(photos.views), tied=False)
+        if self.seen.stages.stage != Stage.FINE:
+            self.lobes, answer = self.lobes.moved(scale, photos, answer)
+        return self.prior.with_relief(answer, variance, tied=False)
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything :meth:`load_state` needs, beside the stages."""
+        return {f"lobes.{name}": value
+                for name, value in (self.lobes.lobes._asdict() if self.lobes else {}).items()}
+
+    def load_state(self, state: dict[str, Tensor], scale: Scale) -> None:
+        """Go on from a saved state at a scale."""
+        saved = part(state, "lobes.")
+        self.lobes = SharedLobes.at(Lobes(**saved), self.search.prior, scale) if saved else None
