@@ -19,8 +19,9 @@ PACKAGES = {"torch": "torch", "numpy": "numpy", "opencv": "cv2", "OpenEXR": "Ope
             "safetensors": "safetensors", "scipy": "scipy", "matplotlib": "matplotlib", "jinja2": "jinja2",
             "pillow": "PIL", "simplejpeg": "simplejpeg", "mpmath": "mpmath", "tyro": "tyro", "rich": "rich"}
 # By the extra that installs it.
-EXTRAS = {"movie": "av", "heic": "pillow_heif", "raw": "rawpy", "batch": "ray", "s3": "s3fs"}
-DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow",
+EXTRAS = {"flip": "flip_evaluator", "movie": "av", "heic": "pillow_heif", "raw": "rawpy", "batch": "ray",
+          "s3": "s3fs"}
+DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "flip_evaluator": "flip-evaluator",
                  "pillow_heif": "pillow-heif"}
 
 

@@ -27,6 +27,10 @@ os.environ.update(ALONE, RAY_AUTH_TOKEN=os.urandom(32).hex())
 os.fsync = lambda descriptor: None
 pytest.register_assert_rewrite("helpers")
 
+# The plugin under test also comes through its entry point where the package is installed; pytest then loads
+# it once.
+pytest_plugins = ["mitsvbrdf.testing.plugin", "pytester"]
+
 
 @pytest.fixture(scope="session")
 def data_folder() -> Path:

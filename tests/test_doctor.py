@@ -56,14 +56,14 @@ def test_what_only_some_need_is_told_and_is_no_fault(monkeypatch, capsys):
     real = doctor.importlib.import_module
 
     def without(name, *rest):
-        if name in ("av", "ray"):
+        if name in ("av", "flip_evaluator", "ray"):
             raise ModuleNotFoundError(f"No module named {name!r}")
         return real(name, *rest)
 
     monkeypatch.setattr(doctor.importlib, "import_module", without)
     assert doctor.doctor() == 0
     shown = capsys.readouterr().out
-    assert '-> pip install "mitsvbrdf[movie]"\n' in shown
+    assert '-> pip install "mitsvbrdf[movie]"\n' in shown and '-> pip install "mitsvbrdf[flip]"\n' in shown
     assert "batch: ray            not installed\n" in shown and '-> pip install "mitsvbrdf[batch]"\n' in shown
     assert "NO " not in shown
 

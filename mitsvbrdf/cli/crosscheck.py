@@ -124,6 +124,7 @@ def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
         [None if row["gradients"]["cosine"] is None else 1 - row["gradients"]["cosine"] for row in rows])
     if texels == "rough" or all(row["texels"] == "smooth" for row in record["summary"]):
         add("display, worst", None, None, [row["display"] for row in rows])
+        add("FLIP, worst", None, None, [row["flip"] for row in rows])
         for way in ("forward", "backward"):
             add(way, None, None, [row["seconds"][way] for row in rows], seconds)
     return table

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from .. import color
-from ..errors import CaptureError, ConfigError, MapsError
+from ..errors import BackendError, CaptureError, ConfigError, MapsError
 from ..material.encoding import ENCODINGS
 from ..material.maps import SVBRDF
 
@@ -104,6 +104,38 @@ def error_statistics(signed: Tensor) -> dict[str, float]:
     rank = math.ceil(0.999 * size.numel())
     return {"mean": float(size.mean()), "p99.9": float(size.kthvalue(rank).values),
             "worst": float(size.max()), "bias": float(signed.mean())}
+
+
+def flip(image: Tensor, reference: Tensor, transfer: color.Transfer = "gamma2.2") -> Tensor:
+    """How different two pictures look: FLIP error in [0, 1] of each pixel, at 67 pixels a degree.
+
+    Args:
+        image: H x W x 3, linear radiance; both are encoded by ``transfer`` and clipped, as a screen shows
+            them.
+        reference: the same shape.
+        transfer: how the screen encodes light.
+
+    Returns:
+        H x W, float32.
+
+    Raises:
+        BackendError: the extra ``flip`` is not installed.
+        MapsError: shapes that differ or are not H x W x 3.
+
+    Source: Andersson et al. 2020, "FLIP: A Difference Evaluator for Alternating Images".
+    """
+    try:
+        import flip_evaluator
+    except ImportError:
+        raise BackendError("flip-evaluator, which computes FLIP", "none",
+                           'pip install "mitsvbrdf[flip]"') from None
+    if image.shape != reference.shape or image.ndim != 3 or image.shape[2] != 3:
+        raise MapsError("two pictures of one shape H x W x 3",
+                        f"{tuple(image.shape)} and {tuple(reference.shape)}",
+                        "compare one view at a time")
+    shown = (color.to_display(x.detach().float(), transfer).contiguous().numpy() for x in (reference, image))
+    return torch.as_tensor(flip_evaluator.evaluate(*shown, "LDR", applyMagma=False,
+                                                   computeMeanError=False)[0])[..., 0]
 
 
 def gradient_error(gradient: Tensor, reference: Tensor) -> dict[str, float]:

@@ -53,17 +53,24 @@ def at_most(picture: Tensor, side: int) -> Tensor:
     """A picture H x W x C area-averaged so that no side is longer than this many pixels."""
     if max(picture.shape[:2]) <= side:
         return picture
-    rows, columns = (max(1, round(length * side / max(picture.shape[:2]))) for length in picture.shape[:2])
-    return F.adaptive_avg_pool2d(picture.permute(2, 0, 1), (rows, columns)).permute(1, 2, 0)
+    return F.adaptive_avg_pool2d(picture.permute(2, 0, 1), shrunk(picture, side)).permute(1, 2, 0)
 
 
-def error_picture(error: Tensor, high: float, low: float) -> Tensor:
+def shrunk(picture: Tensor, side: int) -> tuple[int, int]:
+    """Height and width of a picture H x W (x C) whose longer side is to have this many pixels."""
+    height, width = picture.shape[:2]
+    rows, columns = (max(1, round(length * side / max(height, width))) for length in (height, width))
+    return rows, columns
+
+
+def error_picture(error: Tensor, high: float, low: float | None = None) -> Tensor:
     """Sizes of an error in the colours of matplotlib's ``magma``, log scale, H x W x 3 display values.
 
     Args:
         error: H x W, not negative.
         high: the value shown brightest.
-        low: the value shown black.
+        low: the value shown black. Default: ``high`` / 1e4.
     """
+    low = low or high / 1e4
     share = (torch.log(error.double().clamp_min(1e-300) / low) / math.log(high / low)).clamp(0, 1)
     return magma(torch.where(torch.isfinite(error), share, torch.ones_like(share)))

@@ -1,7 +1,8 @@
-"""For other people's test suites: renderers that must agree, and a Z-test for noisy pictures.
+"""For other people's test suites: renderers that must agree, golden images, and a Z-test for noisy pictures.
 
-``docs/testing.md`` shows how to use them. The names below are loaded on first use, so that a suite that needs
-none of them pays for neither torch nor Mitsuba.
+A pytest plugin comes along (:mod:`mitsvbrdf.testing.plugin`); ``docs/testing.md`` shows how to use all of it.
+The names below are loaded on first use, so that a suite that needs none of them pays for neither torch nor
+Mitsuba.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import importlib
 from typing import Any
 
 _HOME = {"assert_renderers_agree": ".agreement", "LIMITS": ".agreement", "Limits": ".agreement",
-         "random_material": "..material.corner_cases",
+         "random_material": "..material.corner_cases", "assert_matches_golden": ".golden",
          "z_test": "..measure.z_test", "ZTest": "..measure.z_test"}
 __all__ = sorted(_HOME)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import astuple
-from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -18,19 +17,7 @@ from ..measure.metrics import gradient_error, image_error
 from ..measure.tolerances import LIMITS, Limits
 from ..render import Renderer, RendererName, make_renderer
 from ..views import Views
-
-
-class Figure(NamedTuple):
-    """One measured number and the largest value that passes; NaN misses every limit."""
-
-    name: str
-    value: float
-    limit: float
-
-    @property
-    def missed(self) -> bool:
-        """Whether the comparison fails by this figure."""
-        return not self.value <= self.limit
+from .page import Figure, failure, gradient_row, view_rows
 
 
 @entry(gradients=True)
@@ -54,7 +41,7 @@ def assert_renderers_agree(
         reference: what to compare with.
 
     Raises:
-        AssertionError: naming renderer, image or map, figure and limit.
+        AssertionError: naming renderer, image or map, figure, limit, and a page that shows where.
         ConfigError: limits left out for a renderer that is not ours; an image without the gradients asked
             for.
     """
@@ -63,16 +50,19 @@ def assert_renderers_agree(
     limits = [_limits(r.name, image_mean, image_p999, gradients) for r in engines[1:]]
     wanted = any(math.isfinite(limit.gradients) for limit in limits)
     truth = _measured(engines[0], maps, views, wanted)
-    missed, names = list[Figure](), list[str]()
+    figures, rows, names = [], [], []
     for renderer, limit in zip(engines[1:], limits):
         found = _measured(renderer, maps, views, math.isfinite(limit.gradients))
-        if off := [each for each in _figures(renderer.name, found, truth, limit) if each.missed]:
+        measured = _figures(renderer.name, found, truth, limit)
+        figures += measured
+        if any(f.missed for f in measured):
             names.append(renderer.name)
-            missed += off
+            rows += view_rows(found.image, truth.image, renderer.name) + [
+                gradient_row(f"{renderer.name}, gradient of {name}", gradient, truth.gradients[name])
+                for name, gradient in found.gradients.items()]
     if names:
-        title = f"{' and '.join(names)} differ{'s' * (len(names) == 1)} from {engines[0].name}"
-        raise AssertionError("\n".join([title, *(f"  {each.name}: {each.value:.3g}, limit {each.limit:.3g}"
-                                                 for each in missed)]))
+        raise failure(f"{' and '.join(names)} differ{'s' * (len(names) == 1)} from {engines[0].name}",
+                      figures, rows)
 
 
 def _limits(name: str, *given: float | None) -> Limits:

@@ -13,7 +13,7 @@ def warm() -> None:
     import mitsvbrdf
 
     for module in pkgutil.walk_packages(mitsvbrdf.__path__, "mitsvbrdf."):
-        if module.name != "mitsvbrdf.__main__":
+        if module.name not in ("mitsvbrdf.__main__", "mitsvbrdf.testing.plugin"):
             importlib.import_module(module.name)
     importlib.import_module("OpenEXR")
     importlib.import_module("PIL.Image").init()

@@ -2,17 +2,18 @@
 
 import json
 import math
+import sys
 
 import numpy as np
 import pytest
 import torch
 
-from mitsvbrdf.errors import CaptureError, ConfigError, MapsError
+from mitsvbrdf.errors import BackendError, CaptureError, ConfigError, MapsError
 from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.material.maps import SVBRDF, flat
-from mitsvbrdf.measure.metrics import gradient_error, image_error, map_rmse, photo_rmse, relative_error
+from mitsvbrdf.measure.metrics import flip, gradient_error, image_error, map_rmse, photo_rmse, relative_error
 
 MAPS = ("diffuse", "specular", "roughness", "normal")
 
@@ -159,3 +160,9 @@ def test_published_rerendering_errors_are_reproduced(data_folder, name):
                              "linear")
     assert round(total, 4) == published["materialgan_rerender_rmse_256"]
     assert [round(value, 4) for value in each] == published["per_view"]
+
+
+def test_flip_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "flip_evaluator", None)
+    with pytest.raises(BackendError, match='pip install "mitsvbrdf.flip."'):
+        flip(torch.zeros(8, 8, 3), torch.zeros(8, 8, 3))

@@ -1,0 +1,51 @@
+"""The pytest plugin: two options, and the calling test's file for golden images.
+
+pytest loads it in every project of an environment where this package is installed, so it imports nothing
+heavy. Its entry point has the module's name: pytest then loads it once, whether through the entry point,
+``-p`` or ``pytest_plugins``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from . import running
+
+SUITE = pytest.StashKey[running.Running]()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """``--mitsvbrdf-update`` and ``--mitsvbrdf-report DIR``."""
+    group = parser.getgroup("mitsvbrdf", "golden images and pages of failed comparisons (mitsvbrdf)")
+    group.addoption("--mitsvbrdf-update", action="store_true",
+                    help="Write new results over golden files that are missing or no longer match.")
+    group.addoption("--mitsvbrdf-report", metavar="DIR", type=Path,
+                    help="Folder for the pages of failed comparisons. Default: .mitsvbrdf-report in rootdir.")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Resolve the options."""
+    report = config.getoption("mitsvbrdf_report")
+    folder = (config.rootpath / ".mitsvbrdf-report" if report is None
+              else config.invocation_params.dir / report)
+    config.stash[SUITE] = running.Running(update=config.getoption("mitsvbrdf_update"), report=folder)
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Let the assertions know which test calls them."""
+    before, running.now = running.now, replace(item.config.stash[SUITE], test=item.nodeid, file=item.path)
+    try:
+        return (yield)
+    finally:
+        running.now = before
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
+    """Name the golden files that were written: they want a look before they are committed."""
+    for path in config.stash[SUITE].written:
+        terminalreporter.write_line(f"mitsvbrdf: wrote {path}")

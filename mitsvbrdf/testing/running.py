@@ -1,0 +1,20 @@
+"""The running test and the command line's options: set by the plugin, read by the assertions."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+
+@dataclass
+class Running:
+    """A test that runs, and the options of its suite."""
+
+    test: str = "comparison"  # as pytest names it
+    file: Path | None = None  # that it stands in; None outside pytest
+    update: bool = False  # new results become golden files
+    report: Path = Path(".mitsvbrdf-report")  # folder for the pages of failed comparisons
+    written: list[Path] = field(default_factory=list)  # golden files made or replaced in this suite
+
+
+now = Running()  # a stand-in without a file where the plugin is not at work
