@@ -26,6 +26,7 @@ from .capture import LEAST_SIDE, Capture, converted, notes_of, used_transfer
 from .lens import field_of_view
 from .photo import Photo, Unreadable, differences, photos_in, with_one_balance
 from .rectify import filled
+from .turned import laid_alike
 
 MOST_SQUARE = 2048  # pixels a side of what is read of a photo without calibration
 
@@ -66,7 +67,8 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
         The capture, in the unit of length of its calibration.
 
     Photos are decoded one at a time and shrunk at once: at most 250 megapixels of each, 500 in all when
-    shrunk.
+    shrunk. Those turned or mirrored beside the others are laid as the others, and named in a note; see
+    :mod:`.turned`.
 
     Raises:
         CaptureError: photos or calibration that cannot be used, naming the file or row.
@@ -102,6 +104,7 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
         if above := _stated_above(path):
             note = f"{above} states views of these photos, which are read without them: name it instead"
             capture = replace(capture, notes=(*capture.notes, note))
+    capture = laid_alike(capture)
     capture = capture if index is None else capture.pick(index)
     transfer, told = used_transfer(transfer or capture.transfer, capture.colours)
     capture = _shrunk(replace(capture, transfer=transfer, notes=(*capture.notes, *told)), resolution)
