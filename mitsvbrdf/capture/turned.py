@@ -84,7 +84,8 @@ def _pattern(capture: Capture) -> Tensor:
     fine = grey - gaussian_filter(grey, (0, FINE, FINE), mode="nearest")
     strength = np.sqrt(gaussian_filter(fine**2, (0, 3 * FINE, 3 * FINE), mode="nearest")) + 1e-3
     fine = torch.from_numpy(np.tanh(fine / strength / 1.5))
-    return fine if capture.measured is None else fine * capture.measured_at(SIDE)
+    measured = capture.measured_at(SIDE)
+    return fine if measured is None else fine * measured
 
 
 def _squares(pattern: Tensor) -> tuple[np.ndarray, np.ndarray]:

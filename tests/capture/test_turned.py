@@ -64,11 +64,13 @@ def test_nothing_is_claimed_of_symmetric_or_missing_patterns():
 
 
 def test_relief_under_opposite_light_is_no_photo_turned():
-    """Its shading is negative: the correlation is, and its square tells that it lies right."""
+    """Its shading is negative: the correlation is, and its square tells how it lies."""
     found = capture(grains())
     shown = found.photos.clone()
     shown[3] = 1 - shown[3]
-    assert ways(replace(found, photos=shown)) == [0] * 7
+    found = replace(found, photos=shown)
+    assert ways(found) == [0] * 7
+    assert ways(put(found, _3=2)) == [0, 0, 0, 2, 0, 0, 0]
 
 
 def test_masks_turn_along_and_do_not_tell():
