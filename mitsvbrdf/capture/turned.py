@@ -6,7 +6,6 @@ which a square can lie. Squares of correlations count, as relief under opposite 
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 from itertools import product
 
@@ -57,7 +56,7 @@ def ways(capture: Capture) -> list[int]:
 
 
 def laid_alike(capture: Capture) -> Capture:
-    """The capture with photos laid as most lie, where their pattern clearly tells; with a note of each kind."""
+    """The capture with photos laid as most lie, where their pattern clearly tells; with a note of each."""
     found = ways(capture)
     if not any(found):
         return capture

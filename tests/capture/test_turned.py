@@ -1,4 +1,4 @@
-"""Photos turned or mirrored beside the others are found by their pattern, and nothing is claimed without one."""
+"""Photos turned or mirrored beside the others are found by their pattern; without one nothing is claimed."""
 
 from __future__ import annotations
 
