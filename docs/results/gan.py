@@ -26,7 +26,7 @@ BEFORE, NOW, WITHOUT = "before feature matching", "adversarial loss", "no advers
 # An ingredient -> the settings of GanConfig that change it.
 VARIANTS = {
     "full": {}, WITHOUT: {"adversarial": 0.0, "features": 0.0}, "no diffuse loss": {"diffuse": 0.0},
-    "the paper's guess": {"guess": "min"}, "no start at the guess": {"start": False},
+    "the paper's guess": {"guess": "min"}, "no start at the guess": {"start": "untrained"},
     "two-stream generator": {"generator": "two-stream"}, "bce": {"game": "bce"}, "hinge": {"game": "hinge"},
     "no level": {"level": False}, "no angles": {"angles": False}, "not paired": {"paired": False},
     "no feature matching": {"features": 0.0}, "no clipping": {"clipping": False},
@@ -210,7 +210,7 @@ def measure(record: dict) -> dict:
     from mitsvbrdf.bench.run import run
     from mitsvbrdf.bench.tasks import data_folder, find_tasks
 
-    renderer, data, full = make_renderer("mitsuba"), data_folder(), GanConfig()
+    renderer, data, full = make_renderer("mitsuba"), data_folder(), GanConfig(start="guess")
     variants = {name: replace(full, **changes) for name, changes in VARIANTS.items()}
     materials = sorted({r["name"] for r in of(record, NOW)})
     found = []

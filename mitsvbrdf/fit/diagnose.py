@@ -29,6 +29,7 @@ from .methods import method_name
 from .omitted import omitted_by, used
 from .record import FROM, SCHEMA_VERSION
 from .result import Fit
+from .solved_gan import SolvedGan
 from .task import FitTask
 from .warnings import fit_warnings
 
@@ -38,12 +39,13 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
     capture, renderer, config, method = task.capture, task.renderer, task.config, loop.method
     assert loop.best is not None
     _, svbrdf, views = loop.best
-    basis = method.scales.basis if isinstance(method, Hierarchical) else None
-    images, total, each, spreads, alike = _looked_at(svbrdf, views, task, basis)
+    solver = method.solvers[0] if isinstance(method, SolvedGan) else method
+    basis, own = (solver.scales.basis, solver.task) if isinstance(solver, Hierarchical) else (None, task)
+    images, total, each, spreads, alike = _looked_at(svbrdf, views, own, basis)
     told = light_power_told(svbrdf, alike or spreads) if task.light_power_unknown else None
     if told:
         svbrdf, views = with_light_power(svbrdf, told), replace(views, intensity=views.intensity * told)
-        images, total, each, spreads, alike = _looked_at(svbrdf, views, task, basis)
+        images, total, each, spreads, alike = _looked_at(svbrdf, views, own, basis)
     # Of all photos: where each has a camera and a flash of its own besides, they move around what is common.
     moved = (views.light - views.camera) - (capture.views.light - capture.views.camera)
     x, y = (moved.mean(dim=0)[:2] / views.size).tolist()
@@ -62,7 +64,8 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
         "seed": config.seed, "config": asdict(config) | {"fix": list(config.fix)}, "command": {},
         "omitted": [each._asdict() for each in (*omitted_by(task, views), *method.omitted, *(
             [] if spreads else [Omitted("deviations", "no Mitsuba")]))],
-        "used": [{"what": what, "how": how} for what, how in used(task)],
+        "used": [{"what": what, "how": how} for what, how in used(task)
+                 if not isinstance(method, SolvedGan) or method.game],
         "capture": {"name": capture.source.name if capture.source else None, "photos": list(capture.index),
                     "resolution": capture.resolution, "transfer": capture.transfer,
                     "calibrated": capture.calibrated, "notes": list(capture.notes)},

@@ -9,28 +9,34 @@ from ..capture.guess import GuessMethod
 from ..errors import ConfigError
 from ..kinds import check_fields
 from ..views import Falloff
+from . import losses
 from .config import FitConfig, Switch
+from .detail_config import DetailConfig
 from .losses import Game
 
 Preset = Literal["minutes", "paper-one-stage", "paper-two-stage"]
 Precision = Literal["auto", "float32", "bfloat16"]
 GeneratorKind = Literal["all-photos", "two-stream"]
+Start = Literal["solved", "guess", "untrained"]
 
 # The paper's method (III.C to III.F); it prints no weight of the diffuse loss.
 _PAPER: dict[str, Any] = {
-    "guess": "min", "grey_specular": True, "generator": "two-stream", "start": False, "width": 64,
+    "guess": "min", "grey_specular": True, "generator": "two-stream", "start": "untrained", "width": 64,
     "learning_rate": 2e-5, "head_start": 0.0, "decay": False, "normal_roughness_steps": 5,
     "pictures": 1, "discriminator_rate": 2e-5, "game": "bce", "level": False, "angles": False,
     "paired": False, "clipping": False, "grow": False, "adversarial": 1.0, "features": 0.0, "diffuse": 10.0,
     "smooth": 0.0, "flash_offset": False}
 _MINUTES: dict[str, Any] = {
-    "guess": "robust", "grey_specular": False, "generator": "all-photos", "start": True, "width": 16,
+    "guess": "robust", "grey_specular": False, "generator": "all-photos", "start": "solved", "width": 16,
     "learning_rate": 2e-3, "head_start": 0.1, "decay": True, "normal_roughness_steps": 1,
     "pictures": 6, "discriminator_rate": 1e-3, "game": "relativistic", "level": True, "angles": True,
     "paired": True, "clipping": True, "grow": True, "adversarial": 1.0, "features": 10.0, "diffuse": 5.0,
     "smooth": 1.0, "flash_offset": True}
 PRESETS: dict[str, dict[str, Any]] = {
     "minutes": _MINUTES, "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
+# What a game from solved maps looks at; the other settings are those of the game from the guess.
+OF_SOLVED = "guess", "grey_specular", "start", "flash_offset"
+FEWEST = 4  # photos, of which a game from solved maps can hold patches out
 
 # Side of the coarsest phase, texels: below it a discriminator has too few patches to learn anything but each
 # photo by heart (128 px, four known materials, equal time: mean map RMSE .069 from 64 px on, .076 from 32 px
@@ -72,8 +78,8 @@ class GanConfig(FitConfig):
     """One grey specular level a texel (the paper's) instead of three channels."""
     generator: GeneratorKind = AS_PRESET
     """all-photos: ours. two-stream: the paper's, sees one photo."""
-    start: Switch = AS_PRESET
-    """Start at the guess, one specular level and one roughness. Off: start untrained (the paper's)."""
+    start: Start = AS_PRESET
+    """solved: maps of the default method; guess: if a setting below is given; untrained: the paper's."""
     width: int = AS_PRESET
     """Channels of the first convolution of both networks."""
     learning_rate: float = AS_PRESET
@@ -124,6 +130,8 @@ class GanConfig(FitConfig):
         check_fields(self, "fix", "preset")
         if self.preset not in get_args(Preset):
             raise ConfigError(f"a preset of {get_args(Preset)}", repr(self.preset), "choose one of these")
+        if self.start is AS_PRESET and self._of_guess:
+            object.__setattr__(self, "start", "guess" if self.preset == "minutes" else AS_PRESET)
         for name, value in PRESETS[self.preset].items():
             if getattr(self, name) is AS_PRESET:
                 object.__setattr__(self, name, value)
@@ -131,9 +139,20 @@ class GanConfig(FitConfig):
         if self.of_paper and (self.bsdf == "principled" or fixed):
             object.__setattr__(self, "grey_specular", False)  # no specular map is fitted
 
+    @property
+    def _of_guess(self) -> list[str]:
+        """Settings given that only the game from the guess has."""
+        usual = PRESETS[self.preset] | {"crop": 0, "precision": "auto"}
+        return [name for name, value in usual.items()
+                if name not in OF_SOLVED and getattr(self, name) not in (AS_PRESET, value)]
+
     def check(self) -> None:
         """Raise ConfigError for numbers out of range, and for settings that do not go together."""
         super().check()
+        if self.start == "solved" and (self.of_paper or self._of_guess):
+            option = (self._of_guess or ["preset"])[0].replace("_", "-")
+            raise ConfigError(f"--start guess or untrained beside --{option}", "--start solved",
+                              "a game from solved maps has no such setting: leave one of them out")
         if not any(self.weights.values()):
             raise ConfigError("a fit with a loss", "all weights 0",
                               "give --adversarial or --diffuse a weight > 0")
@@ -163,6 +182,12 @@ class GanConfig(FitConfig):
     def of_paper(self) -> bool:
         """Whether it is one of the paper's presets."""
         return self.preset != "minutes"
+
+    @property
+    def weights(self) -> dict[str, float]:
+        """The weight of each loss; from solved maps those of :class:`DetailConfig`."""
+        own = DetailConfig() if self.start == "solved" else self
+        return {name: getattr(own, name) for name in losses.NAMES if hasattr(own, name)}
 
     @property
     def holds_views(self) -> bool:

@@ -13,7 +13,7 @@ from .task import Config, FitTask
 
 
 class MethodEntry(NamedTuple):
-    """Settings of a method, and where its class is, which is loaded on first use."""
+    """Settings of a method, and where its class or maker is, which is loaded on first use."""
 
     config: type[FitConfig]
     module: str
@@ -23,7 +23,7 @@ class MethodEntry(NamedTuple):
 METHODS = {  # the default first
     "hierarchical": MethodEntry(HierarchicalConfig, ".hierarchical.rounds", "Hierarchical"),
     "hybrid": MethodEntry(HybridConfig, ".generator.hybrid", "Hybrid"),
-    "gan": MethodEntry(GanConfig, ".generator.gan", "Gan"),
+    "gan": MethodEntry(GanConfig, ".solved_gan", "gan_of"),
     "direct": MethodEntry(DirectConfig, ".direct", "Direct"),}
 
 

@@ -6,8 +6,9 @@ from ..render.needs import Omitted, scene_needs
 from ..views import Views
 from . import losses
 from .config import HierarchicalConfig, HybridConfig
+from .detail_config import DetailConfig
 from .fixed_maps import described, unknown_but
-from .gan_config import GanConfig
+from .gan_config import FEWEST, GanConfig
 from .posterior import step_of
 from .task import FitTask
 
@@ -67,6 +68,12 @@ def used(task: FitTask) -> list[tuple[str, str]]:
         items = [("generator", "sees all photos; its maps are compared with each of them; width "
                                f"{config.width}")]
         verdicts = {"adversarial": config.adversarial}
+    elif isinstance(config, GanConfig) and config.start == "solved":
+        if len(task.capture) < FEWEST:
+            return []
+        items = [("generator", "changes solved maps within what photos leave open; width "
+                               f"{DetailConfig.width}")]
+        verdicts = {"adversarial": DetailConfig.adversarial}
     elif isinstance(config, GanConfig):
         sees = ("all photos" if config.generator != "two-stream"
                 else "the first of the pictures its maps are compared with")
@@ -78,5 +85,6 @@ def used(task: FitTask) -> list[tuple[str, str]]:
                if name not in task.unused]
     if weights:
         game = f"; game {config.game}" if isinstance(config, GanConfig) else ""
+        game = "; under novel lights" if getattr(config, "start", "") == "solved" else game
         items.append(("discriminator", f"{' and '.join(weights)}{game}"))
     return items

@@ -98,4 +98,6 @@ def config_of(record: dict) -> FitConfig:
     """The settings that a record of :func:`config_record` holds, under their present or former names."""
     settings: dict[str, Any] = {FORMER.get(name, name): tuple(value) if isinstance(value, list) else value
                                 for name, value in record.items() if name not in ("method", *GONE)}
+    if isinstance(settings.get("start"), bool):  # of earlier fits
+        settings["start"] = "guess" if settings["start"] else "untrained"
     return METHODS[record["method"]].config(**settings)

@@ -24,12 +24,13 @@ def make_generator(config: GanConfig, streams: Streams, inputs: int) -> Generato
     Raises:
         ConfigError: the pretrained checkpoint is of another size or kind.
     """
+    change = config.start != "untrained"
     with seeded(config.seed):
         generator: Generator
         if config.generator == "two-stream":
-            generator = TwoStreamGenerator(streams, config.width, config.start)
+            generator = TwoStreamGenerator(streams, config.width, change)
         else:
-            generator = AllPhotosGenerator(inputs, streams, config.width, config.start)
+            generator = AllPhotosGenerator(inputs, streams, config.width, change)
     if config.pretrained:
         load_generator(generator, config, config.pretrained)
     return generator

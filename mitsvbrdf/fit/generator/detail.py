@@ -23,16 +23,17 @@ from ... import color
 from ...capture import Capture
 from ...io.entry import entry
 from ...io.signals import stop_signals
-from ...material.maps import SVBRDF, map_of, numbers_of
-from ...material.resample import resized
+from ...material.maps import SVBRDF, numbers_of
 from ...measure.rerender import rerender
 from ...render import Renderer
 from ...views import Views, geometry
 from .. import losses
+from ..checkpoint import load_module_state, load_optimizer_state, module_state, optimizer_state
 from ..detail_config import DetailConfig
 from ..method import cosine, descend
-from ..parameters import ROUGHNESS_RANGE, STREAMS
+from ..parameters import STREAMS
 from ..result import Fit
+from .bounded import Bounded
 from .highlight_discriminator import PATCH, HighlightDiscriminator, patch_distance
 from .networks import AllPhotosGenerator, seeded
 from .novel_lights import NovelLight, draw, novel_views
@@ -40,7 +41,6 @@ from .novel_lights import NovelLight, draw, novel_views
 WHAT = ("detail/ is one plausible draw of what no photo shows, for pictures; maps/ holds the expected "
         "values, for validation, and is the same with and without it")
 NOISE = 4  # channels of noise that the generator sees
-STEEPEST = 0.95  # length of x and y of a normal that is bent, or that of the solved one
 VIEW_SCALE = 10.0  # brings 1 - z of half vectors, some hundredths, to the size of display values
 SHARES = (1.0, 0.85, 0.7, 0.55, 0.4, 0.25, 0.1, 0.0)  # of the generator's change that are tried
 
@@ -71,7 +71,8 @@ def with_detail(result: Fit, capture: Capture, renderer: Renderer, config: Detai
     if why_not(result):
         return result
     began = time.perf_counter()
-    training = DetailTraining(result, capture, renderer, config)
+    bounded = Bounded.of(result.svbrdf, result.views, result.deviations, config.reach, config.certain)
+    training = DetailTraining(bounded, capture, renderer, config)
     with stop_signals() as stopped:
         for step in range(config.steps):
             training.step(step / config.steps)
@@ -102,24 +103,21 @@ class DetailTraining:
     """Steps of the training.
 
     Args:
-        result: the fit.
-        capture: its photos.
+        bounded: the solved maps, and how far they may change.
+        capture: the photos.
         renderer: carries the gradients.
         config: settings.
     """
 
-    def __init__(self, result: Fit, capture: Capture, renderer: Renderer, config: DetailConfig) -> None:
-        self.capture, self.renderer, self.config = capture, renderer, config
-        self.solved, self.views = result.svbrdf, result.views
+    def __init__(self, bounded: Bounded, capture: Capture, renderer: Renderer, config: DetailConfig) -> None:
+        self.capture, self.renderer, self.config, self.bounded = capture, renderer, config, bounded
+        self.solved, self.views = bounded.svbrdf, bounded.views
         size = capture.resolution
         self.side = max(min(size, 2 * PATCH), round(config.crop * size))
         self.random = torch.Generator().manual_seed(config.seed)
-        spreads = {name: resized(spread, size) for name, spread in result.deviations.items()}
-        self.bounds = {name: (config.reach * (spread - config.certain).clamp_min(0))
-                       for name, spread in spreads.items()}
-        self.numbers = {name: numbers_of(name, self.solved[name]) for name in self.bounds}
-        condition = [2 * x - 1 for x in self.numbers.values()] + list(self.bounds.values())
-        streams = tuple({name: self.bounds[name].shape[-1] for name in stream if name in self.bounds}
+        bounds, self.cut = bounded.bounds, 1.0  # of both step sizes, after steps that were undone
+        condition = [2 * numbers_of(name, self.solved[name]) - 1 for name in bounds] + list(bounds.values())
+        streams = tuple({name: bounds[name].shape[-1] for name in stream if name in bounds}
                         for stream in STREAMS[self.solved.bsdf])
         with seeded(config.seed):
             condition.append(torch.randn(size, size, NOISE))
@@ -146,29 +144,17 @@ class DetailTraining:
 
     def material(self, share: float = 1.0) -> SVBRDF:
         """The present maps with a share of their change; where the bound is 0, exactly the solved value."""
-        change = self.generator(self.condition)
-        maps = dict(self.solved.maps)
-        for name, bound in self.bounds.items():
-            moved = self.numbers[name] + share * bound * torch.tanh(change[name].permute(1, 2, 0))
-            free = share * bound > 0
-            if name == "normal":
-                solved, flat = (2 * x - 1 for x in (self.numbers[name], moved))
-                longest = solved.norm(dim=-1, keepdim=True).clamp_min(STEEPEST)
-                moved = (flat * (longest / flat.norm(dim=-1, keepdim=True).clamp_min(1e-6)).clamp_max(1)
-                         + 1) / 2
-                free = free.any(dim=-1, keepdim=True)
-            elif name == "roughness":
-                moved = torch.maximum(moved, self.numbers[name].clamp_max(ROUGHNESS_RANGE[0])).clamp_max(1)
-            else:
-                moved = moved.clamp(0, 1)
-            maps[name] = torch.where(free, map_of(name, moved), maps[name])
-        return SVBRDF(self.solved.bsdf, maps)
+        return self.bounded.moved(self.change(), share)
 
-    def step(self, progress: float) -> None:
-        """One step of both networks at this share (0 to 1) of the run."""
+    def change(self) -> dict[str, Tensor]:
+        """The present change of the maps, C x R x R; Tanh of it is the share of the bounds."""
+        return self.generator(self.condition)
+
+    def step(self, progress: float) -> dict[str, float]:
+        """One step of both networks at this share (0 to 1) of the run; returns the losses before it."""
         config = self.config
-        self.optimizer.param_groups[0]["lr"] = config.learning_rate * cosine(progress)
-        self.adversary.param_groups[0]["lr"] = config.discriminator_rate * cosine(progress)
+        self.optimizer.param_groups[0]["lr"] = self.cut * config.learning_rate * cosine(progress)
+        self.adversary.param_groups[0]["lr"] = self.cut * config.discriminator_rate * cosine(progress)
         lights = [draw(self.views, self.albedo, self.side, config.tries, self.random)
                   for _ in range(config.lights)]
         moved = novel_views(self.views, lights, self.capture.resolution)
@@ -176,10 +162,14 @@ class DetailTraining:
         svbrdf = self.material()
         rendered = self.renderer.render(svbrdf, joined(moved, self.views.pick(seen)))
         new, known = rendered[:len(lights)], rendered[len(lights):]
+        linear, measured = self.capture.linear[seen], self.capture.measured
 
         fake = torch.stack([light.under_it(image, self.side) for light, image in zip(
             lights, color.to_display(new, self.capture.transfer))])
         real = self._in_photos(lights, self.capture.photos)
+        if measured is not None:  # no error is where photos are masked
+            known = torch.where(measured[seen][..., None], known, linear)
+            fake = torch.where(self._in_photos(lights, measured)[..., None], fake, real)
         half = self._in_photos(lights, self.half)
         lean = half[..., :2].norm(dim=-1, keepdim=True)
         angles = torch.cat((VIEW_SCALE * (1 - half[..., 2:]), lean), dim=-1)
@@ -187,15 +177,33 @@ class DetailTraining:
         under = torch.stack([light.under_it(image, self.side) for light, image in zip(lights, matte)])
         shown = _input(fake, under, angles)
         photo = _input(real, self._in_photos(lights, self.matte_photos), angles)
-        descend(losses.discriminator(self.discriminator(photo), self.discriminator(shown.detach()),
-                                     "relativistic"), self.adversary)
+        loss = losses.discriminator(self.discriminator(photo), self.discriminator(shown.detach()),
+                                    "relativistic")
+        logged = {"discriminator": float(loss.detach()) + descend(loss, self.adversary)}
         with torch.no_grad():
             verdict = self.discriminator(photo)
         terms = {"adversarial": losses.adversarial(verdict, self.discriminator(shown), "relativistic"),
                  "patches": patch_distance(fake, real, lean[..., 0], self.random),
                  "photometric": losses.photometric(known, self.capture.photos[seen], self.capture.transfer),
                  "diffuse": losses.diffuse(svbrdf, self.solved.as_roughconductor()["diffuse"])}
-        descend(losses.weighted(terms, {name: getattr(config, name) for name in terms}), self.optimizer)
+        total = losses.weighted(terms, {name: getattr(config, name) for name in terms})
+        logged |= {name: float(value.detach()) for name, value in terms.items()}
+        return logged | {"gradient": descend(total, self.optimizer)}
+
+    def state(self) -> dict[str, Tensor]:
+        """Weights and averages of the networks, step sizes and random numbers."""
+        return {"cut": torch.tensor(self.cut, dtype=torch.float64), "random": self.random.get_state(),
+                **module_state("generator", self.generator), **optimizer_state("slow", self.optimizer),
+                **module_state("judge", self.discriminator), **optimizer_state("fast", self.adversary)}
+
+    def load_state(self, state: dict[str, Tensor]) -> None:
+        """Go on from a saved state."""
+        self.cut = float(state["cut"])
+        self.random.set_state(state["random"])
+        for name, module, optimizer, its in (("generator", self.generator, self.optimizer, "slow"),
+                                             ("judge", self.discriminator, self.adversary, "fast")):
+            load_module_state(name, module, state)
+            load_optimizer_state(its, optimizer, state)
 
     def _in_photos(self, lights: list[NovelLight], pictures: Tensor) -> Tensor:
         return torch.stack([light.in_photo(pictures[light.photo], self.side) for light in lights])

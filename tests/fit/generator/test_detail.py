@@ -11,6 +11,7 @@ from helpers import ANALYTIC, GRID, photos_of
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf, losses
 from mitsvbrdf.fit.detail_config import DetailConfig
+from mitsvbrdf.fit.generator.bounded import Bounded
 from mitsvbrdf.fit.generator.detail import DetailTraining, why_not, with_detail
 from mitsvbrdf.fit.generator.highlight_discriminator import (
     PATCH,
@@ -81,7 +82,8 @@ def test_a_seed_decides_the_draw(result, capture):
 
 
 def test_the_look_starts_as_the_maps(result, capture):
-    start = DetailTraining(result, capture, ANALYTIC, QUICK).material()
+    bounded = Bounded.of(result.svbrdf, result.views, result.deviations, QUICK.reach, QUICK.certain)
+    start = DetailTraining(bounded, capture, ANALYTIC, QUICK).material()
     for name, value in result.svbrdf.maps.items():
         # There and back through the numbers that deviations are stated in, float32; a slope of 1e-3 near the
         # upright z = 1.

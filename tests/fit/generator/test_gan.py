@@ -45,7 +45,7 @@ def test_it_starts_where_the_papers_first_stage_ends(generator, tiles):
 
 
 def test_untrained_it_starts_anywhere(tiles):
-    normals = gan_of(tiles, start=False).estimate()[0]["normal"]
+    normals = gan_of(tiles, start="untrained").estimate()[0]["normal"]
     assert normals[..., :2].abs().max() > 0.02
 
 

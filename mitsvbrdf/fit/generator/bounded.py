@@ -1,0 +1,69 @@
+"""Solved maps that a generator may change, in each texel as far as the fit is unsure of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from ...material.maps import SVBRDF, map_of, numbers_of
+from ...material.resample import resized
+from ...views import Views
+from ..parameters import ROUGHNESS_RANGE
+
+STEEPEST = 0.95  # length of x and y of a normal that is bent, or that of the solved one
+
+
+@dataclass(frozen=True, eq=False)
+class Bounded:
+    """Where a change starts and how far it may go.
+
+    Args:
+        svbrdf: the solved maps, R x R.
+        views: as solved.
+        bounds: by map, the largest change of its numbers (:func:`mitsvbrdf.material.maps.numbers_of`),
+            R x R x C.
+    """
+
+    svbrdf: SVBRDF
+    views: Views
+    bounds: Mapping[str, Tensor]
+
+    @staticmethod
+    def of(svbrdf: SVBRDF, views: Views, deviations: Mapping[str, Tensor], reach: float,
+           certain: float = 0.0) -> Bounded:
+        """Bounds of so many standard deviations (r x r x C) above one that counts as none."""
+        return Bounded(svbrdf, views, {
+            name: reach * (resized(spread, svbrdf.resolution) - certain).clamp_min(0)
+            for name, spread in deviations.items()})
+
+    def moved(self, change: Mapping[str, Tensor], share: float = 1.0, top: int = 0, left: int = 0) -> SVBRDF:
+        """The maps with a share of their change; where the bound is 0, exactly the solved value.
+
+        Args:
+            change: of maps, C x H x W, unbounded: Tanh of it is the share of the bound.
+            share: of the change.
+            top, left: place of the H x W texels.
+        """
+        def cut(value: Tensor) -> Tensor:
+            return value[top:top + height, left:left + width]
+
+        height, width = next(iter(change.values())).shape[-2:] if change else self.svbrdf["normal"].shape[:2]
+        maps = {name: cut(value) for name, value in self.svbrdf.maps.items()}
+        for name, value in change.items():
+            bound, numbers = share * cut(self.bounds[name]), numbers_of(name, maps[name])
+            moved, free = numbers + bound * torch.tanh(value.permute(1, 2, 0)), bound > 0
+            if name == "normal":
+                solved, flat = (2 * x - 1 for x in (numbers, moved))
+                longest = solved.norm(dim=-1, keepdim=True).clamp_min(STEEPEST)
+                moved = (flat * (longest / flat.norm(dim=-1, keepdim=True).clamp_min(1e-6)).clamp_max(1)
+                         + 1) / 2
+                free = free.any(dim=-1, keepdim=True)
+            elif name == "roughness":
+                moved = torch.maximum(moved, numbers.clamp_max(ROUGHNESS_RANGE[0])).clamp_max(1)
+            else:
+                moved = moved.clamp(0, 1)
+            maps[name] = torch.where(free, map_of(name, moved), maps[name])
+        return SVBRDF(self.svbrdf.bsdf, maps)

@@ -1,0 +1,254 @@
+"""``gan`` from solved maps: a map is changed only if photos held out of the game are then predicted better.
+
+The default method solves the photos twice: all of them, and all but patches that are held out (of each texel
+one photo). The game of :mod:`.generator.detail` begins at the second answer and sees none of these patches
+either. Each map stays within what the photos leave open. Now and then the change of each set of maps is
+judged by what it predicts of the patches, beside the second answer without a change. The result is the first
+answer with the change of those maps that helped; often, that is none.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import replace
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from ..capture import Capture
+from ..capture.rectify import filled
+from ..color import to_display
+from ..io.profile import profiled
+from ..material.maps import SVBRDF
+from ..render.needs import Omitted
+from ..views import Views
+from .checkpoint import part
+from .confidence import deviations
+from .config import HierarchicalConfig
+from .detail_config import DetailConfig
+from .gan_config import FEWEST, GanConfig
+from .generator.bounded import Bounded
+from .generator.detail import DetailTraining
+from .generator.gan import Gan
+from .hierarchical import Hierarchical
+from .method import Method
+from .task import FitTask
+
+BLOCKS = 16  # patches along a side, of each of which one photo is held out
+SHARES = (0.4, 0.2)  # of the run, at most, that solving with all photos and without the patches may take
+SURE = 3.0  # standard errors by which patches must be predicted better for a change to be kept
+BEAT = 20  # steps of the game from one judgement to the next
+VIEWS = "camera", "light", "intensity"
+GAME, ENDED = 2, 3  # stages after solving with all photos (0) and without the patches (1)
+
+
+def gan_of(task: FitTask[GanConfig]) -> Method[GanConfig]:
+    """The game from the start that is asked for."""
+    return SolvedGan(task) if task.config.start == "solved" else Gan(task)
+
+
+class SolvedGan(Method[GanConfig]):
+    """Rounds of the solver, then steps of the game.
+
+    Args:
+        task: photos, guess and settings.
+
+    Raises:
+        BackendError: Mitsuba, the variant or libLLVM is missing.
+    """
+
+    latest_is_best = True  # photos held out decide, not those seen
+
+    def __init__(self, task: FitTask[GanConfig]) -> None:
+        super().__init__(task)
+        self.task, self.stage, self.began, self.steps = task, 0, 0.0, 0
+        self.spared = spared(task.capture, task.config.seed)
+        self.without = replace(task, capture=held_out(task.capture, self.spared), own_guess=None)
+        self.solvers = [self._solver(task, SHARES[0])]
+        self.answer: tuple[SVBRDF, Views] | None = None  # of all photos
+        self.game: DetailTraining | None = None
+        self.kept: dict[str, Tensor] = {}  # the change that helped most, of the maps it helped
+        self.gain = 0.0  # of squared errors of the patches
+
+    def _solver(self, task: FitTask[GanConfig], share: float) -> Hierarchical:
+        own = self.config
+        config = HierarchicalConfig(bsdf=own.bsdf, guess=own.guess, seed=own.seed, fix=own.fix,
+                                    grey_specular=own.grey_specular, flash_offset=own.flash_offset,
+                                    budget=own.budget and own.budget * share)
+        return Hierarchical(FitTask(task.capture, task.renderer, config, None, task.estimated))
+
+    def step(self, progress: float) -> dict[str, float]:
+        """A round of the solver, or a step of the game."""
+        if self.stage < GAME:
+            share = (progress - self.began) / SHARES[self.stage] if self.config.budget else 0.0
+            if not self.solvers[-1].done and share < 1:
+                return self.solvers[-1].step(max(share, 0.0))
+            self._next_stage(progress)
+        if self.stage != GAME or self.game is None:
+            return {}
+        losses = self.game.step((progress - self.began) / (1 - self.began))
+        self.steps += 1
+        if self.steps % BEAT == 0:
+            with profiled("measuring"):
+                self._judge()
+        return losses
+
+    def _next_stage(self, progress: float) -> None:
+        solver = self.solvers[-1]
+        self.began, answer = min(progress, 0.99), solver.estimate()
+        if self.stage == 0:
+            self.answer = answer
+            self.stage = 1 if len(self.capture) >= FEWEST else ENDED
+            if self.stage == 1:
+                self.solvers.append(self._solver(self.without, SHARES[1]))
+        else:
+            with profiled("uncertainty"):
+                spread = deviations(*answer, solver.task, solver.scales.basis)[0]
+            self._begin_game(Bounded.of(*answer, spread, DetailConfig.reach, DetailConfig.certain))
+
+    def _begin_game(self, bounded: Bounded) -> None:
+        self.stage = GAME
+        self.game = DetailTraining(bounded, self.without.capture, self.renderer,
+                                   DetailConfig(seed=self.config.seed))
+
+    def _judge(self) -> None:
+        """Keep the present change of those maps that predict the patches better with it."""
+        assert self.game
+        solved = self.game.bounded
+        with torch.no_grad():
+            change = self.game.change()
+
+        def errors(*names: str) -> Tensor:
+            return self._errors(solved.moved({name: change[name] for name in names}), solved.views)
+
+        plain = errors()
+        sets = [names for count in range(1, len(change) + 1)
+                for names in itertools.combinations(change, count)]
+        gains = {names: plain - errors(*names) for names in sets}
+        sure = [names for names in sets if float(gains[names].mean()) > SURE * standard_error(gains[names])]
+        if not sure:
+            return
+        best = max(sure, key=lambda names: float(gains[names].mean()))
+        less = {names: gains[best] - gains[names] for names in sure}
+        fewest = next(names for names in sure if float(less[names].mean()) <= standard_error(less[names]))
+        if (gain := float(gains[fewest].mean())) > self.gain:
+            self.gain, self.kept = gain, {name: change[name] for name in fewest}
+
+    def _errors(self, svbrdf: SVBRDF, views: Views) -> Tensor:
+        """Mean squared error of the display values of each patch, in the photo that is held out there."""
+        capture, seen = self.capture, self.spared[..., None]
+        with torch.no_grad():
+            images = self.renderer.render(svbrdf, views)
+        error = (to_display(images, capture.transfer) - capture.photos) * seen
+        square = error.square().sum(dim=0).mean(dim=-1)
+        return F.adaptive_avg_pool2d(square[None, None].float(), min(BLOCKS, len(square))).flatten()
+
+    def estimate(self) -> tuple[SVBRDF, Views]:
+        """The answer from all photos so far, with the change of the maps that it helped."""
+        if self.answer is None:
+            return self.solvers[0].estimate()
+        svbrdf, views = self.answer
+        if not (self.kept and self.game):
+            return self.answer
+        return Bounded(svbrdf, views, self.game.bounded.bounds).moved(self.kept).map(Tensor.contiguous), views
+
+    def preview(self) -> SVBRDF | None:
+        """The present answer of the solver; in the game, the latest measurement."""
+        return self.solvers[0].preview() if self.answer is None else None
+
+    @property
+    def done(self) -> bool:
+        """Whether no game is played."""
+        return self.stage == ENDED
+
+    def cut_step(self) -> None:
+        """Halve the step sizes of the game."""
+        if self.game:
+            self.game.cut /= 2
+
+    @property
+    def omitted(self) -> list[Omitted]:
+        """What the solver omitted, and the maps that the game did not help."""
+        why = "photos held out of it are predicted no better with it: the map stays as solved"
+        if self.stage == ENDED:
+            return [*self.solvers[0].omitted, Omitted("the game", f"fewer than {FEWEST} photos: none can be "
+                                                                  "held out of it; the maps stay as solved")]
+        if not self.game:
+            return [*self.solvers[0].omitted, Omitted("the game", "the run ended before it began")]
+        return [*self.solvers[0].omitted, *(Omitted(f"the game's change of {name}", why)
+                                            for name in self.game.bounded.bounds if name not in self.kept)]
+
+    @property
+    def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
+        """Of the solver."""
+        return self.solvers[0].views_deviation
+
+    def state(self) -> dict[str, Tensor]:
+        """Where it stands, its solvers, the answers, and the game."""
+        state = {"at": torch.tensor([self.stage, self.steps, self.began, self.gain], dtype=torch.float64)}
+        for number, solver in enumerate(self.solvers):
+            state |= named(f"solver{number}", solver.state())
+        if self.answer:
+            state |= named("answer", _tensors(*self.answer))
+        if self.game:
+            solved = self.game.bounded
+            state |= named("solved", _tensors(solved.svbrdf, solved.views)) | named("bound", solved.bounds)
+            state |= named("game", self.game.state()) | named("kept", self.kept)
+        return state
+
+    def load_state(self, state: dict[str, Tensor]) -> None:
+        """Go on from a saved state."""
+        self.stage, self.steps = (int(value) for value in state["at"][:2])
+        self.began, self.gain = state["at"][2:].tolist()
+        self.solvers = self.solvers[:1]
+        if part(state, "solver1."):
+            self.solvers.append(self._solver(self.without, SHARES[1]))
+        for number, solver in enumerate(self.solvers):
+            solver.load_state(part(state, f"solver{number}."))
+        self.answer = self._answer(part(state, "answer.")) if self.stage else None
+        self.kept, self.game = part(state, "kept."), None
+        if self.stage == GAME:
+            self._begin_game(Bounded(*self._answer(part(state, "solved.")), part(state, "bound.")))
+            assert self.game
+            self.game.load_state(part(state, "game."))
+
+    def _answer(self, tensors: dict[str, Tensor]) -> tuple[SVBRDF, Views]:
+        camera, light, intensity = (tensors.pop(name) for name in VIEWS)
+        return (SVBRDF(self.config.bsdf, tensors),
+                replace(self.capture.views, camera=camera, light=light, intensity=intensity))
+
+
+def _tensors(svbrdf: SVBRDF, views: Views) -> dict[str, Tensor]:
+    return {**svbrdf.maps, **{name: getattr(views, name) for name in VIEWS}}
+
+
+def named(name: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Copies of tensors, each with a prefix to its name; see :func:`.checkpoint.part`."""
+    return {f"{name}.{key}": value.detach().clone() for key, value in tensors.items()}
+
+
+def spared(capture: Capture, seed: int) -> Tensor:
+    """Which pixels are held out, N x R x R: of each of :data:`BLOCKS` x BLOCKS patches those of one photo.
+
+    Each photo is held out in as many patches as the others, at places that the seed decides.
+    """
+    side, random = min(BLOCKS, capture.resolution), torch.Generator().manual_seed(seed)
+    order = torch.randperm(side * side, generator=random) % len(capture)
+    place = torch.arange(capture.resolution) * side // capture.resolution
+    photo = order.reshape(side, side)[place[:, None], place]
+    held = photo == torch.arange(len(capture))[:, None, None]
+    return held if capture.measured is None else held & capture.measured
+
+
+def held_out(capture: Capture, pixels: Tensor) -> Capture:
+    """The photos without these pixels, N x R x R, which are filled with what the others show."""
+    measured = ~pixels if capture.measured is None else ~pixels & capture.measured
+    shown = torch.where(measured[..., None], capture.photos, torch.nan)
+    return replace(capture, photos=filled(list(shown.numpy()), warn=False)[0], measured=measured)
+
+
+def standard_error(values: Tensor) -> float:
+    """Of the mean of values."""
+    return float(values.std() / len(values)**0.5)
