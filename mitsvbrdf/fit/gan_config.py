@@ -27,7 +27,7 @@ _PAPER: dict[str, Any] = {
     "paired": False, "clipping": False, "grow": False, "adversarial": 1.0, "features": 0.0, "diffuse": 10.0,
     "smooth": 0.0, "flash_offset": False}
 _MINUTES: dict[str, Any] = {
-    "guess": "robust", "grey_specular": False, "generator": "all-photos", "start": "solved", "width": 16,
+    "guess": "robust", "grey_specular": False, "generator": "all-photos", "start": None, "width": 16,
     "learning_rate": 2e-3, "head_start": 0.1, "decay": True, "normal_roughness_steps": 1,
     "pictures": 6, "discriminator_rate": 1e-3, "game": "relativistic", "level": True, "angles": True,
     "paired": True, "clipping": True, "grow": True, "adversarial": 1.0, "features": 10.0, "diffuse": 5.0,
@@ -78,7 +78,7 @@ class GanConfig(FitConfig):
     """One grey specular level a texel (the paper's) instead of three channels."""
     generator: GeneratorKind = AS_PRESET
     """all-photos: ours. two-stream: the paper's, sees one photo."""
-    start: Start = AS_PRESET
+    start: Start | None = AS_PRESET
     """solved: maps of the default method; guess: if a setting below is given; untrained: the paper's."""
     width: int = AS_PRESET
     """Channels of the first convolution of both networks."""
@@ -130,14 +130,17 @@ class GanConfig(FitConfig):
         check_fields(self, "fix", "preset")
         if self.preset not in get_args(Preset):
             raise ConfigError(f"a preset of {get_args(Preset)}", repr(self.preset), "choose one of these")
-        if self.start is AS_PRESET and self._of_guess:
-            object.__setattr__(self, "start", "guess" if self.preset == "minutes" else AS_PRESET)
         for name, value in PRESETS[self.preset].items():
             if getattr(self, name) is AS_PRESET:
                 object.__setattr__(self, name, value)
         fixed = any(item.startswith("specular=") for item in self.fix)
         if self.of_paper and (self.bsdf == "principled" or fixed):
             object.__setattr__(self, "grey_specular", False)  # no specular map is fitted
+
+    @property
+    def begins(self) -> Start:
+        """Where the generator begins; without ``start``, at the guess if a setting of that game is given."""
+        return self.start or ("guess" if self._of_guess else "solved")
 
     @property
     def _of_guess(self) -> list[str]:
@@ -186,7 +189,7 @@ class GanConfig(FitConfig):
     @property
     def weights(self) -> dict[str, float]:
         """The weight of each loss; from solved maps those of :class:`DetailConfig`."""
-        own = DetailConfig() if self.start == "solved" else self
+        own = DetailConfig() if self.begins == "solved" else self
         return {name: getattr(own, name) for name in losses.NAMES if hasattr(own, name)}
 
     @property

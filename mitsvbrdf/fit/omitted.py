@@ -68,7 +68,7 @@ def used(task: FitTask) -> list[tuple[str, str]]:
         items = [("generator", "sees all photos; its maps are compared with each of them; width "
                                f"{config.width}")]
         verdicts = {"adversarial": config.adversarial}
-    elif isinstance(config, GanConfig) and config.start == "solved":
+    elif isinstance(config, GanConfig) and config.begins == "solved":
         if len(task.capture) < FEWEST:
             return []
         items = [("generator", "changes solved maps within what photos leave open; width "
@@ -85,6 +85,6 @@ def used(task: FitTask) -> list[tuple[str, str]]:
                if name not in task.unused]
     if weights:
         game = f"; game {config.game}" if isinstance(config, GanConfig) else ""
-        game = "; under novel lights" if getattr(config, "start", "") == "solved" else game
+        game = "; under novel lights" if getattr(config, "begins", "") == "solved" else game
         items.append(("discriminator", f"{' and '.join(weights)}{game}"))
     return items

@@ -46,7 +46,7 @@ GAME, ENDED = 2, 3  # stages after solving with all photos (0) and without the p
 
 def gan_of(task: FitTask[GanConfig]) -> Method[GanConfig]:
     """The game from the start that is asked for."""
-    return SolvedGan(task) if task.config.start == "solved" else Gan(task)
+    return SolvedGan(task) if task.config.begins == "solved" else Gan(task)
 
 
 class SolvedGan(Method[GanConfig]):

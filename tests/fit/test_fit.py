@@ -265,7 +265,8 @@ def test_presets_are_the_papers():
         assert paper.grey_specular and paper.falloff == "none" and paper.holds_views
         assert not paper.flash_offset
         assert (paper.head_start, paper.smooth, paper.adversarial) == (0, 0, 1)
-        assert not any((paper.start, paper.decay, paper.level, paper.angles, paper.paired, paper.clipping,
+        assert paper.begins == "untrained"
+        assert not any((paper.decay, paper.level, paper.angles, paper.paired, paper.clipping,
                         paper.grow, paper.features, paper.crop))
     assert [(round(p.share, 9), p.photos) for p in two.phases(256)] == [(0.4, 1), (0.6, None)]
     assert GanConfig(preset="paper-one-stage", width=8).width == 8  # what is given stays

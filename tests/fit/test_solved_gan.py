@@ -134,8 +134,8 @@ def test_of_few_photos_the_solved_maps_are_the_answer(photos):
 
 
 def test_settings_of_the_other_game_begin_at_the_guess(photos):
-    assert GanConfig().start == "solved" and GanConfig(flash_offset=False).start == "solved"
-    assert GanConfig(width=8).start == "guess" and GanConfig(preset="paper-one-stage").start == "untrained"
+    assert GanConfig().begins == "solved" and GanConfig(flash_offset=False).begins == "solved"
+    assert GanConfig(width=8).begins == "guess" and GanConfig(preset="paper-one-stage").begins == "untrained"
     assert isinstance(make_method(FitTask(photos, ANALYTIC, GanConfig(start="guess"))), Gan)
     with pytest.raises(ConfigError, match="beside --game"):
         GanConfig(start="solved", game="bce").check()

@@ -24,7 +24,7 @@ def make_generator(config: GanConfig, streams: Streams, inputs: int) -> Generato
     Raises:
         ConfigError: the pretrained checkpoint is of another size or kind.
     """
-    change = config.start != "untrained"
+    change = config.begins != "untrained"
     with seeded(config.seed):
         generator: Generator
         if config.generator == "two-stream":

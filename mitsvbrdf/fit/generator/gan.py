@@ -50,8 +50,8 @@ class Gan(Method[GanConfig]):
         config = self.config
         self.task = task
         self.streams = streams_of(config.bsdf, self.fixed, config.grey_specular)
-        self.start = (robust_start(task.capture, task.guess, config.bsdf, self.fixed) if config.start
-                      else None)
+        self.start = (None if config.begins == "untrained" else
+                      robust_start(task.capture, task.guess, config.bsdf, self.fixed))
         self.random = torch.Generator().manual_seed(config.seed)
         self.bfloat16 = (config.precision == "bfloat16"
                          or config.precision == "auto" and is_faster_in_bfloat16())
@@ -116,7 +116,7 @@ class Gan(Method[GanConfig]):
         present = max(number for number, begin in enumerate(begins) if progress >= begin)
         if present > self.phase:
             grown = self.phases[present].halvings != self.phases[self.phase].halvings
-            change = self._change() if grown and self.config.start else {}
+            change = self._change() if grown and self.config.begins != "untrained" else {}
             if change:
                 self.generator.begin_change()
             self._begin(present, change)
