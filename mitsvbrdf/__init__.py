@@ -5,8 +5,6 @@ sets no variant. The first use sets ``OMP_WAIT_POLICY=PASSIVE`` where torch is n
 it. ``__init__.pyi`` beside this file tells type checkers and editors the same names.
 """
 
-from __future__ import annotations
-
 import importlib
 import os
 import sys

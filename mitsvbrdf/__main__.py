@@ -1,7 +1,5 @@
 """Entry point: prepares the process, then runs the command line; ``doctor`` works without all packages."""
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -3,8 +3,6 @@
 Nothing is imported before it is known to be safe: an unsuitable libLLVM is met in a child process only.
 """
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 import platform

@@ -4,8 +4,6 @@ Every deliberate error derives from :class:`MitsvbrdfError`. The command line pr
 exits with 2. A fault that was corrected is a Python warning, on the command line a line of its own.
 """
 
-from __future__ import annotations
-
 import contextlib
 import sys
 import warnings

@@ -1,7 +1,5 @@
 """Arguments of another kind than their annotation states are refused at the edge of the Python API."""
 
-from __future__ import annotations
-
 import functools
 import inspect
 import numbers

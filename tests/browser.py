@@ -1,7 +1,5 @@
 """A real headless Chromium for tests of pages: opens a file, records what it says and asks for."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from collections.abc import Iterator

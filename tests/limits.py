@@ -7,8 +7,6 @@ be as long as the arguments need. Lines of 110 columns are ruff's to check. A fe
 budget names what it displaces.
 """
 
-from __future__ import annotations
-
 import ast
 import re
 import sys

@@ -6,8 +6,6 @@ For each break the renderer tests run in the copy until the first failure, and t
 materials. Exit code 1 if any break passes both. Takes some minutes.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -3,8 +3,6 @@
 ``python tests/notebooks.py docs/tutorial.ipynb`` renews the kept outputs of a notebook.
 """
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from pathlib import Path

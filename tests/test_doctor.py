@@ -1,7 +1,5 @@
 """The doctor's findings, with everything there and with things missing or harmful."""
 
-from __future__ import annotations
-
 import builtins
 import importlib.metadata
 import json

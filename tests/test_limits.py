@@ -1,7 +1,5 @@
 """What counts as too long, and that a budget that is broken is told."""
 
-from __future__ import annotations
-
 import limits
 import pytest
 from limits import BODY_LINES, FILE_LINES, over_budget, too_long

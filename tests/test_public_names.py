@@ -1,7 +1,5 @@
 """The names of the package are the same for a program that runs and for a type checker."""
 
-from __future__ import annotations
-
 import ast
 import os
 import subprocess

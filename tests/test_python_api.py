@@ -1,7 +1,5 @@
 """The Python API in programs with defaults and threads of their own, and with arguments that are wrong."""
 
-from __future__ import annotations
-
 import contextlib
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace

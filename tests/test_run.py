@@ -1,7 +1,5 @@
 """The set-up script: POSIX sh, help with the right exit codes, and no work once everything is installed."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

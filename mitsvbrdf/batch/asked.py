@@ -3,8 +3,6 @@
 What lies in the library already is checked and skipped.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -3,8 +3,6 @@
 Raw photos become a capture before they are fitted.
 """
 
-from __future__ import annotations
-
 import contextlib
 import os
 import re

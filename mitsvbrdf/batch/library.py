@@ -1,7 +1,5 @@
 """What a library holds: rows for pandas and for the page, read from its folders."""
 
-from __future__ import annotations
-
 import json
 import secrets
 from collections import Counter

@@ -5,8 +5,6 @@ elsewhere and appears by one rename, in a store by its record, which is written 
 holds why a capture has none.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import json

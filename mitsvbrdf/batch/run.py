@@ -1,7 +1,5 @@
 """The loop of a batch: captures are handed out, what became of each is noted, and told."""
 
-from __future__ import annotations
-
 import contextlib
 import re
 import secrets

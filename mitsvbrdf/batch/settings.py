@@ -1,7 +1,5 @@
 """How a batch runs, whatever it fits."""
 
-from __future__ import annotations
-
 import os
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Where files of a batch lie: a folder of this machine, or an object store behind a URL (``s3://``, ``gs://``)."""
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import os

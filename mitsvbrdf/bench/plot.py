@@ -1,7 +1,5 @@
 """One picture: error against run time, a curve for every method, a line for every published number."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 from matplotlib.figure import Figure

@@ -1,7 +1,5 @@
 """Fits of every method on every task with every budget and seed, each kept as one line of a file."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import math

@@ -1,7 +1,5 @@
 """One table: median and spread over seeds, of every method at every budget, beside published numbers."""
 
-from __future__ import annotations
-
 import statistics
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple

@@ -1,7 +1,5 @@
 """What is fitted: photos of known materials, and real captures of which some photos are held out."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable, Mapping, Sequence

@@ -16,8 +16,6 @@ Without it real photos seem taken from half as far.
   :data:`~mitsvbrdf.material.maps.USUAL_ALBEDO`).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from types import SimpleNamespace

@@ -14,8 +14,6 @@ side, to explain errors of the maps; with it, by 0.02. What comes out is as sure
 error of the maps that looks like a shift of the highlight is taken for one.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple

@@ -7,8 +7,6 @@ vignetting and exposures (``light``), bad photos rejected (``quality``). ``guess
 The public names are loaded on first use: the sheet of tags needs no torch.
 """
 
-from __future__ import annotations
-
 import importlib
 from typing import TYPE_CHECKING
 

@@ -5,8 +5,6 @@ the text files of MaterialGAN. Both check what they read, photo by photo and num
 :class:`Capture` is made.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import reprlib

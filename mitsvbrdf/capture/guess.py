@@ -1,7 +1,5 @@
 """The guessed diffuse map: what a few photos say about the diffuse colour before any fit (paper, III.C)."""
 
-from __future__ import annotations
-
 import math
 from typing import Literal, get_args
 

@@ -1,7 +1,5 @@
 """Reading a folder of photos, with or without calibration, and writing a capture back."""
 
-from __future__ import annotations
-
 import contextlib
 import os
 from collections import Counter

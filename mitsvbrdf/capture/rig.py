@@ -1,7 +1,5 @@
 """The rig: one lens, and where it stood in each photo, however that was found; and its JSON."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sized
 from dataclasses import dataclass, field
 from typing import Literal

@@ -14,8 +14,6 @@ Each stage says which photos it rejects, and why. One photo at a time is in memo
 rectified patch is kept.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ Each photo's fine pattern is correlated with those of the others as it lies, and
 which a square can lie. Squares of correlations count, as relief under opposite light shows its negative.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 

@@ -5,8 +5,6 @@ mend; 130 Ctrl-C without a result. Only the module of the chosen command is impo
 neither torch nor Mitsuba.
 """
 
-from __future__ import annotations
-
 import ast
 import functools
 import importlib

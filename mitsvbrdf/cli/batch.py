@@ -1,7 +1,5 @@
 """``mitsvbrdf batch``: many captures into one library."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import itertools

@@ -1,7 +1,5 @@
 """``mitsvbrdf crosscheck``: every renderer against the float64 twin, as tables, JSON and a page."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args

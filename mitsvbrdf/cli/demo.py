@@ -1,7 +1,5 @@
 """``mitsvbrdf demo``: a made material photographed, recovered and compared with the truth."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..io import results

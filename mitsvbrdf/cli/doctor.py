@@ -1,7 +1,5 @@
 """``mitsvbrdf doctor``: what is installed here, and whether it suffices."""
 
-from __future__ import annotations
-
 from .options import Variant
 
 

@@ -1,7 +1,5 @@
 """``mitsvbrdf evaluate``: maps measured against known maps or photos."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from pathlib import Path

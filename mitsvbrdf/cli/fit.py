@@ -1,7 +1,5 @@
 """``mitsvbrdf fit``: the maps of a material recovered from photos."""
 
-from __future__ import annotations
-
 import argparse
 import contextlib
 from collections.abc import Sequence

@@ -1,7 +1,5 @@
 """``mitsvbrdf guess``: the guessed diffuse map alone."""
 
-from __future__ import annotations
-
 from tyro.conf import Positional
 
 from .. import color

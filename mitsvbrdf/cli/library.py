@@ -1,7 +1,5 @@
 """``mitsvbrdf library``: what a batch made, to list and to check."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Sequence
 from typing import Annotated, Literal

@@ -1,7 +1,5 @@
 """Old names of commands and options: they work for one version, hidden in help, and say their new name."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """``mitsvbrdf render``: maps rendered for the views of a capture."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated, Literal
 

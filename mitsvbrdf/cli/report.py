@@ -1,7 +1,5 @@
 """``mitsvbrdf report``: the page of a fit, made again from its folder."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

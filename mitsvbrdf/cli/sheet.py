@@ -1,7 +1,5 @@
 """``mitsvbrdf sheet``: tags to print and lay around a material."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Annotated
 

@@ -1,7 +1,5 @@
 """``mitsvbrdf stability``: the renderers at the ends of every range, as tables and JSON."""
 
-from __future__ import annotations
-
 from typing import Annotated, Literal
 
 from rich.table import Table

@@ -1,7 +1,5 @@
 """``mitsvbrdf synth``: photos of known maps, rectified, or raw ones of a simulated phone."""
 
-from __future__ import annotations
-
 import functools
 from dataclasses import fields
 from pathlib import Path

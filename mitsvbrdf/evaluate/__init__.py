@@ -1,7 +1,5 @@
 """How good a material is: against known maps, or against photos."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from ..calibrate.refine import UNKNOWNS, Priors, refine_views

@@ -3,8 +3,6 @@
 :func:`compare` does the same for maps of several methods.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace

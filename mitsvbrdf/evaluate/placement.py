@@ -1,7 +1,5 @@
 """Where the lights of a fit stand when its photos, or others, are rendered again."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A material in the formats of other programs, one folder a format."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path

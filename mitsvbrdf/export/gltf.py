@@ -3,8 +3,6 @@
 Source: glTF 2.0 specification (Khronos), sections 3.9.2 and 4.4; KHR_materials_specular.
 """
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path

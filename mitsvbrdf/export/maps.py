@@ -1,7 +1,5 @@
 """The maps as PNG files, named as the tools or libraries of textures do that they are for."""
 
-from __future__ import annotations
-
 import unicodedata
 from dataclasses import replace
 from pathlib import Path

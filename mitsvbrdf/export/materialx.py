@@ -4,8 +4,6 @@ Source: MaterialX specification 1.38 and 1.39; Autodesk Standard Surface (Georgi
 Surface 1.1, whose roughness is the square root of the GGX alpha, as ours.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch

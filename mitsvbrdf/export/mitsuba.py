@@ -1,7 +1,5 @@
 """The material as a Mitsuba scene file, ``scenes/patch.xml`` filled in; scene files as dictionaries."""
 
-from __future__ import annotations
-
 import math
 import xml.etree.ElementTree as ET
 from pathlib import Path

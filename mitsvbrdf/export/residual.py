@@ -1,7 +1,5 @@
 """What a conversion changes: pictures under three lights, of the material and of its conversion."""
 
-from __future__ import annotations
-
 import math
 
 import torch

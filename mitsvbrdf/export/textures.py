@@ -1,7 +1,5 @@
 """Texture files, and what each holds: map, colour space, normal convention."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import asdict, dataclass
 from pathlib import Path

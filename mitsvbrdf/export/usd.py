@@ -5,8 +5,6 @@
 Source: UsdPreviewSurface specification 2.6 (Pixar), metallic workflow.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import torch

@@ -6,8 +6,6 @@ inference mode, which autograd refuses. A program's own default comes back when 
 thread, is over.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import threading

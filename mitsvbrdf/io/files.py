@@ -4,8 +4,6 @@ A write goes beside its target and is then renamed onto it. What a user names ma
 lies inside a folder of results may not: there a link, a pipe or a device is refused.
 """
 
-from __future__ import annotations
-
 import contextlib
 import ctypes
 import errno

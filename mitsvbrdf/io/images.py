@@ -4,8 +4,6 @@ Photos with EXIF, HEIC or raw data are read by :mod:`mitsvbrdf.capture.photo`, w
 :mod:`mitsvbrdf.material.map_files`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import warnings

@@ -1,7 +1,5 @@
 """Reading JSON: bounded and strict, whoever wrote it; :mod:`mitsvbrdf.io.files` writes it."""
 
-from __future__ import annotations
-
 import functools
 import json
 import math

@@ -1,7 +1,5 @@
 """Named parts of a vector: least squares wants one vector, its reader wants names."""
 
-from __future__ import annotations
-
 import math
 from types import SimpleNamespace
 from typing import Any

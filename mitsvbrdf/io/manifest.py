@@ -1,7 +1,5 @@
 """What in a result folder is ours: its manifest lists our files. Each new result raises its serial number."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

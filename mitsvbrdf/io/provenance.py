@@ -1,7 +1,5 @@
 """Where a figure comes from: the machine, and the versions of what it was made with."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 import platform

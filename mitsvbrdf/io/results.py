@@ -7,8 +7,6 @@ other. A lock beside OUT keeps two runs apart. A run that fails leaves in ``OUT.
 goes on from.
 """
 
-from __future__ import annotations
-
 import contextlib
 import errno
 import json

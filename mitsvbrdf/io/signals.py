@@ -3,8 +3,6 @@
 It also has the lock for what a process has once.
 """
 
-from __future__ import annotations
-
 import contextlib
 import signal
 import threading

@@ -1,7 +1,5 @@
 """Standard streams of a command: closed or full ones neither end the work nor take the place of a file."""
 
-from __future__ import annotations
-
 import io
 import os
 import sys

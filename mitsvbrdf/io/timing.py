@@ -1,7 +1,5 @@
 """Seconds of whole jobs, one or several in turn. :mod:`~mitsvbrdf.io.profile` has the parts of a fit."""
 
-from __future__ import annotations
-
 import statistics
 import time
 from collections.abc import Callable, Mapping, Sequence

@@ -4,8 +4,6 @@ A metal/rough material has diffuse b (1 - m) and F0 = b m + 0.04 (1 - m): four n
 is :meth:`mitsvbrdf.material.maps.SVBRDF.as_roughconductor`.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

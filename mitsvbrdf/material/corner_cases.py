@@ -1,7 +1,5 @@
 """The materials of a cross-check: made ones, corner cases, and the same maps as the other BSDF."""
 
-from __future__ import annotations
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor

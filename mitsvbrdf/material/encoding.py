@@ -1,7 +1,5 @@
 """How files of maps are encoded, as ``material.json`` or the user states, and as each library has it."""
 
-from __future__ import annotations
-
 import re
 from difflib import get_close_matches
 from pathlib import Path

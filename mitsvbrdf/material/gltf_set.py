@@ -3,8 +3,6 @@
 Source: glTF 2.0 specification (Khronos), sections 3.9 and 4.4; KHR_materials_specular and KHR_materials_ior.
 """
 
-from __future__ import annotations
-
 import base64
 import contextlib
 import struct

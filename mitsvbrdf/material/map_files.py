@@ -4,8 +4,6 @@
 writes ours.
 """
 
-from __future__ import annotations
-
 import contextlib
 from pathlib import Path
 

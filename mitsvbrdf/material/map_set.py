@@ -1,7 +1,5 @@
 """The files of a material, found and read: from folders by their names, each file as its encoding says."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Mapping
 from pathlib import Path

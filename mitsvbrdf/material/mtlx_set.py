@@ -3,8 +3,6 @@
 Source: MaterialX specification 1.38 and 1.39, its standard nodes, and the surface shaders of its libraries.
 """
 
-from __future__ import annotations
-
 import re
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable

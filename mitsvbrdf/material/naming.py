@@ -1,7 +1,5 @@
 """Which file of a folder is which map: names as libraries of textures, programs and the field give them."""
 
-from __future__ import annotations
-
 import os
 import re
 import tomllib

@@ -1,7 +1,5 @@
 """Normals as files hold them: which numbers are vectors, and which way y points."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from pathlib import Path

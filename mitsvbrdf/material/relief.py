@@ -1,7 +1,5 @@
 """The relief that a normal map stands for: its height, and how much of the sky each texel sees in it."""
 
-from __future__ import annotations
-
 import math
 
 import torch

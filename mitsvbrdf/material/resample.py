@@ -1,7 +1,5 @@
 """Maps and photos at another size, by area averages and bilinear interpolation."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import torch.nn.functional as F

@@ -3,8 +3,6 @@
 Source: Efros and Freeman 2001, "Image quilting for texture synthesis and transfer".
 """
 
-from __future__ import annotations
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor

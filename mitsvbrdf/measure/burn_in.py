@@ -16,8 +16,6 @@ Measured at 128 px on the roughness that MaterialGAN published: `wood-bamboo` 0.
 (`wood-bamboo` 0.69 at 64 px, 0.63 at 256 px).
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

@@ -4,8 +4,6 @@ The gradients are those of the product of the image with fixed random numbers, s
 the same question; :mod:`mitsvbrdf.measure.metrics` says how far two answers are apart.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

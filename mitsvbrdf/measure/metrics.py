@@ -1,7 +1,5 @@
 """Error measures: pure functions of tensors, no files and no rendering. All sums are float64."""
 
-from __future__ import annotations
-
 import math
 
 import torch

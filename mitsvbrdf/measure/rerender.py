@@ -1,7 +1,5 @@
 """A material rendered for the photos of a capture, and its error: what every fit is judged by."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

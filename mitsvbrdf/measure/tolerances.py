@@ -11,8 +11,6 @@ Three checks hold renderers against float64, and each asks another question:
 :data:`UNIT_ROUNDOFF` is what float32 itself is off by.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 UNIT_ROUNDOFF = 2.0**-24  # relative, of one float32 rounding

@@ -19,8 +19,6 @@ leather fails 1 % of the time; glazed tiles, whose sharp highlights few samples 
 ``outliers=0.0025`` or with 16 samples a pass. Made 2 % brighter, all fail.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field
 

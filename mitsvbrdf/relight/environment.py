@@ -4,8 +4,6 @@ In a picture of an environment (longitude and latitude) the top row is up, the m
 straight ahead of a camera that looks along +y, and +x is right of it.
 """
 
-from __future__ import annotations
-
 import math
 import re
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Frames of presets in a folder, each recorded once it is done: a later run can go on. And as MP4 or GIF."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence

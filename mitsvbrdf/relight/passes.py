@@ -9,8 +9,6 @@ clipped the difference of two halves is only 0.57 of the true error, the jackkni
 Dr.Jit compiles one kernel for all numbers of samples that are powers of two, so every pass is made of those.
 """
 
-from __future__ import annotations
-
 import math
 import time
 import zlib

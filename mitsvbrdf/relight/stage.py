@@ -1,7 +1,5 @@
 """Stages of previews: a scene of ``scenes/``, filled in, and what moves in it."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -8,8 +8,6 @@
 ========================  ==========================================================================
 """
 
-from __future__ import annotations
-
 from typing import Literal, Protocol, get_args
 
 import torch

@@ -9,8 +9,6 @@ Each formula is written so that nothing cancels, overflows or divides by zero on
 in its derivatives; docs/results/lab-notes.md lists what each form mended and by how much.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

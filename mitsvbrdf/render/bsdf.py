@@ -3,8 +3,6 @@
 One description serves the fit (texel renderer), the traced scene and the exported scene file.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

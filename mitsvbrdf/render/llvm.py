@@ -7,8 +7,6 @@ before Dr.Jit loads. Importing this module loads neither Dr.Jit nor Mitsuba; ``p
 mitsvbrdf.render.llvm`` prints the library's path or, with exit code 1, what to install.
 """
 
-from __future__ import annotations
-
 import contextlib
 import hashlib
 import importlib.util

@@ -1,7 +1,5 @@
 """What a scene needs to be rendered exactly, and what is omitted because the scene does not need it."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 

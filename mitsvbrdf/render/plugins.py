@@ -5,8 +5,6 @@ digits, and an integrator that asks no more than a scene needs. Each is made for
 classes it derives from.
 """
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 

@@ -4,8 +4,6 @@ With one unjittered sample a pixel and a box filter every ray hits its texel's c
 noise.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from types import ModuleType

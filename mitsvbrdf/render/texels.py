@@ -9,8 +9,6 @@ takes. In float32 the half vector of a narrow highlight keeps few of its digits 
 roughness 0.1 with random normals, gradients against float64: 8e-6 -> 3e-7, for a sixth more time.
 """
 
-from __future__ import annotations
-
 import gc
 import weakref
 from collections.abc import Callable

@@ -5,8 +5,6 @@ numbers that stand in a JSON, and pictures of tensors. ``page`` fills a template
 look.
 """
 
-from __future__ import annotations
-
 import sys
 from typing import Any
 

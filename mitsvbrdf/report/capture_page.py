@@ -1,7 +1,5 @@
 """How good a capture is: its numbers as JSON, and a page of them."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 

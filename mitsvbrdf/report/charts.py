@@ -1,7 +1,5 @@
 """Charts by matplotlib: the error of renders against seconds, and how a figure becomes an SVG."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What a fit's page says beyond ``fit.json``: checks of the renderer on this material, and what was saved."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 

@@ -1,7 +1,5 @@
 """The page of a comparison: it shows the numbers of the record and computes none."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 

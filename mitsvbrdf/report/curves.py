@@ -1,7 +1,5 @@
 """Curves on logarithmic axes, as numbers from which a template draws an inline SVG."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 

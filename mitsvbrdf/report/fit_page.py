@@ -3,8 +3,6 @@
 Beside it the page of its plausible detail, which is for pictures only.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import os
 from pathlib import Path

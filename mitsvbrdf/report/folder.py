@@ -1,7 +1,5 @@
 """What a fit leaves on disk."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from .. import color

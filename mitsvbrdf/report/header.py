@@ -1,7 +1,5 @@
 """What a page begins with: the material on a sphere, a verdict, and textures to download."""
 
-from __future__ import annotations
-
 import base64
 import io
 import tempfile

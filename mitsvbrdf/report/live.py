@@ -4,8 +4,6 @@ It opens from disk. Its script reloads it every two seconds while ``live.svg`` l
 gone the script goes on to the report of the finished fit.
 """
 
-from __future__ import annotations
-
 import os
 import time
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Materials, captures and fits in a notebook: small pictures, at most 14 of 128 px, below 1 MB."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 

@@ -1,7 +1,5 @@
 """The overview of a fit: one picture of its maps, photos and re-renderings."""
 
-from __future__ import annotations
-
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path

@@ -4,8 +4,6 @@ Everything here takes display values (encoded, 0 to 1), never linear radiance. O
 loaded with the first picture.
 """
 
-from __future__ import annotations
-
 import base64
 import math
 

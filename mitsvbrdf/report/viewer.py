@@ -6,8 +6,6 @@ Maps travel as integers of 12 or 16 bits, high and low bytes apart, deflated, in
 do: a highlight of roughness 0.1 is 0.01 wide, as wide as 2.5 steps of an 8-bit normal map.
 """
 
-from __future__ import annotations
-
 import base64
 import zlib
 

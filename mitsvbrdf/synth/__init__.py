@@ -4,8 +4,6 @@
 hand-held phone would take, ``traced`` renders them, ``photos`` develops them and writes the truth beside.
 """
 
-from __future__ import annotations
-
 import torch
 
 from .. import color

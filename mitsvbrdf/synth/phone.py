@@ -6,8 +6,6 @@ tone curve or focus breathing. Its lens follows the model of :mod:`mitsvbrdf.cap
 on it come from noise, resolution and method, not from a wrong lens model.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

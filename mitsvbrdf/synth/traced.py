@@ -1,7 +1,5 @@
 """A phone's photos of a flat material on a table, traced by Mitsuba through the lens itself."""
 
-from __future__ import annotations
-
 from functools import cache
 from types import ModuleType
 from typing import Any

@@ -5,8 +5,6 @@ The names below are loaded on first use, so that a suite that needs none of them
 Mitsuba.
 """
 
-from __future__ import annotations
-
 import importlib
 from typing import Any
 

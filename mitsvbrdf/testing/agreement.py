@@ -1,7 +1,5 @@
 """Renderers that must agree: images and gradients against the float64 twin."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import astuple

@@ -4,8 +4,6 @@
 EXR file for a picture, a stack of views or all maps of a material (as layers). They are linear.
 """
 
-from __future__ import annotations
-
 import math
 import re
 import shlex

@@ -1,7 +1,5 @@
 """What a failed comparison leaves: a message with the numbers, and a page with pictures."""
 
-from __future__ import annotations
-
 import hashlib
 import re
 from collections.abc import Callable, Sequence

@@ -5,8 +5,6 @@ heavy. Its entry point has the module's name: pytest then loads it once, whether
 ``-p`` or ``pytest_plugins``.
 """
 
-from __future__ import annotations
-
 from collections.abc import Generator
 from dataclasses import replace
 from pathlib import Path

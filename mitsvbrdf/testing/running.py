@@ -1,7 +1,5 @@
 """The running test and the command line's options: set by the plugin, read by the assertions."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from pathlib import Path
 

@@ -5,8 +5,6 @@ Figures are counted over the texels of roughness 0.1 and more (``rough``), where
 float32 allows there (:mod:`mitsvbrdf.verify.float32_limits`).
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import statistics

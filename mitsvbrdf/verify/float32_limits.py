@@ -16,8 +16,6 @@ gradient give its limit. It is an order of magnitude, no bound: directions of vi
 with directions in float64, or with their differences, stays below it.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

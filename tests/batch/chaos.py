@@ -7,8 +7,6 @@ into FOLDER/quiet, compares every map, and prints as JSON what it counted: "chao
 A test does the same with few captures.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import os

@@ -1,7 +1,5 @@
 """`mitsvbrdf` with fits that die where their capture holds a ``poison.txt``: a script."""
 
-from __future__ import annotations
-
 import functools
 import os
 import sys

@@ -1,7 +1,5 @@
 """What is asked for of a capture: in words, and how long it may take."""
 
-from __future__ import annotations
-
 import io
 import json
 import shlex

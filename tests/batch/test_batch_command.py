@@ -1,7 +1,5 @@
 """`mitsvbrdf batch` as a whole, on Ray."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Which captures the words of a command line and the lines of a list stand for."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """The recipes of a cluster, as far as they can be checked without one."""
 
-from __future__ import annotations
-
 import functools
 import re
 import shlex

@@ -1,7 +1,5 @@
 """A capture fitted by a worker: the maps of `mitsvbrdf fit`, a whole result or none, and what it printed."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """A result belongs to photos, calibration, options and version, and to nothing else."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A library that a batch made: listed and checked; and its page."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

@@ -1,7 +1,5 @@
 """The page of a library in a real Chromium."""
 
-from __future__ import annotations
-
 import time
 
 import pytest

@@ -1,7 +1,5 @@
 """Results appear whole or not at all, in a folder and in a store. Damage is named."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The loop of a batch, with tasks that end as they are told."""
 
-from __future__ import annotations
-
 import json
 import signal
 

@@ -1,7 +1,5 @@
 """What is left to do: what lies in the library is checked and skipped, what has changed is done anew."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Ray itself: alone on loopback, gone with its command, a cluster whose nodes die, a head that dies."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """Calibrations written for other axes and units: the photos tell, and the named option mends it."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Fixtures that the tests of this folder share."""
 
-from __future__ import annotations
-
 import pytest
 from helpers.made_photos import ground, poses, stored, taken
 

@@ -1,7 +1,5 @@
 """Photos of a calibrated capture are read one at a time, to the same bits as all at once; damage is named."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import cv2

@@ -1,7 +1,5 @@
 """Captures say what they converted, and leave out what a mask hides."""
 
-from __future__ import annotations
-
 import contextlib
 import json
 

@@ -1,7 +1,5 @@
 """The guessed diffuse map: the paper's, the blurred baseline, and the robust one."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A phone's lens and poses against OpenCV, and rectified photos against what they must show."""
 
-from __future__ import annotations
-
 import json
 
 import cv2

@@ -1,7 +1,5 @@
 """Photo files: what their headers say, and their pixels as the sensor stored them."""
 
-from __future__ import annotations
-
 import struct
 import warnings
 

@@ -1,7 +1,5 @@
 """TIFF files, and the masks of all kinds."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

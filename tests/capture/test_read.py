@@ -1,7 +1,5 @@
 """Reading and writing captures: the three formats, and a clear error for each mistake."""
 
-from __future__ import annotations
-
 import json
 
 import cv2

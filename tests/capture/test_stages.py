@@ -1,7 +1,5 @@
 """From raw photos with a sheet to a capture, and what is rejected."""
 
-from __future__ import annotations
-
 import html
 import json
 import math

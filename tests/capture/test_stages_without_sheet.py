@@ -1,7 +1,5 @@
 """From raw photos without a sheet to a capture."""
 
-from __future__ import annotations
-
 import math
 
 import cv2

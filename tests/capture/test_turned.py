@@ -1,7 +1,5 @@
 """Photos turned or mirrored beside the others are found by their pattern; without one nothing is claimed."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

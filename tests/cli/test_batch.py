@@ -1,7 +1,5 @@
 """What `mitsvbrdf batch` says, without a fit."""
 
-from __future__ import annotations
-
 import re
 import sys
 

@@ -1,7 +1,5 @@
 """Ctrl-C at any moment while a command starts: exit code 130, and at most one short line."""
 
-from __future__ import annotations
-
 import importlib.abc
 import importlib.util
 import os

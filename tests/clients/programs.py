@@ -6,8 +6,6 @@ with a point light and nothing else. What is compared with our analytic renderer
 its importer, its model, its textures.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess

@@ -4,8 +4,6 @@ Run in ``tests``; folders of fits are further materials beside the made ones. ``
 docs/results/clients.py`` makes the page.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 import tempfile

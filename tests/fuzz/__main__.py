@@ -5,8 +5,6 @@
     left out
 """
 
-from __future__ import annotations
-
 import os
 import sys
 import tempfile

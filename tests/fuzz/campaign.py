@@ -1,7 +1,5 @@
 """Many cases on warm processes, counted by group, with a file kept for each way in which one failed."""
 
-from __future__ import annotations
-
 import re
 import time
 from collections.abc import Iterable, Sequence

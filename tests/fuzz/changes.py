@@ -5,8 +5,6 @@ by itself) and its number ``nth`` there; numbers are counted round, so that any 
 stands for the case's folder.
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import os

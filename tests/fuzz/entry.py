@@ -1,7 +1,5 @@
 """What each fork runs: the command line, but starting workers of Ray fails with an error of ours."""
 
-from __future__ import annotations
-
 import importlib
 import pkgutil
 

@@ -1,7 +1,5 @@
 """The good files that cases spoil: one of each kind that the package reads, 16 pixels a side."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path

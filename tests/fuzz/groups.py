@@ -1,7 +1,5 @@
 """What is drawn: for each group of cases a strategy, and how many of them a run of the tests takes."""
 
-from __future__ import annotations
-
 import itertools
 import json
 from collections.abc import Callable

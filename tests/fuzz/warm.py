@@ -7,8 +7,6 @@ ENTRY is a module with ``warm()``, called once, and ``main()``, called in each f
 lines of JSON; see :class:`Warm`.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import json

@@ -1,7 +1,5 @@
 """Commands that break the rules, each in its way: what :mod:`fuzz.case` must notice."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

@@ -2,8 +2,6 @@
 is.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from mitsvbrdf.capture import Capture

@@ -1,7 +1,5 @@
 """Area averages, written out."""
 
-from __future__ import annotations
-
 import numpy as np
 
 

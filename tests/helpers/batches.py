@@ -1,7 +1,5 @@
 """Batches without fits: captures of a few bytes, results made by hand, tasks that end as they are told."""
 
-from __future__ import annotations
-
 import json
 from collections import deque
 from collections.abc import Mapping, Sequence

@@ -1,7 +1,5 @@
 """Pictures in known colour spaces, by the formulas of their standards."""
 
-from __future__ import annotations
-
 import struct
 import zlib
 

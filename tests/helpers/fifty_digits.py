@@ -8,8 +8,6 @@ view takes about a millisecond.
 Sources: Walter et al. 2007 (GGX, Smith's G), Fresnel's equations, Burley 2012 and 2015 (``principled``).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 from mpmath import mp, mpf

@@ -1,7 +1,5 @@
 """Somebody else's test suite with golden files."""
 
-from __future__ import annotations
-
 import flip_evaluator  # noqa: F401  (what is loaded here stays loaded after the small suites in this process)
 
 from mitsvbrdf.views import nine_view_grid

@@ -6,8 +6,6 @@
 It imports what writes results and nothing that fits, so that a point takes milliseconds.
 """
 
-from __future__ import annotations
-
 import contextlib
 import functools
 import io

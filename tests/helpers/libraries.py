@@ -2,8 +2,6 @@
 of their own.
 """
 
-from __future__ import annotations
-
 import datetime
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Photos of a material on a sheet of tags or on the ground, of which everything is known."""
 
-from __future__ import annotations
-
 import math
 from functools import cache
 

@@ -1,7 +1,5 @@
 """Scripts of pages in node: what their functions give, without a browser."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

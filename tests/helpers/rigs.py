@@ -1,7 +1,5 @@
 """Lens and poses as a file states them."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mitsvbrdf.capture.lens import Lens, Pose

@@ -1,7 +1,5 @@
 """Thousands of steps in one process: does memory grow, is anything compiled again, do steps get slower?"""
 
-from __future__ import annotations
-
 import gc
 import os
 import re

@@ -1,7 +1,5 @@
 """Captures with a calibration in files, as other programs write them, and values of them to spoil."""
 
-from __future__ import annotations
-
 import json
 
 import cv2

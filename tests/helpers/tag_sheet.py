@@ -1,7 +1,5 @@
 """Photos of the sheet of tags, drawn by the pinhole equation."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 

@@ -1,7 +1,5 @@
 """A simulated phone over a textured plane, of which everything is known."""
 
-from __future__ import annotations
-
 from functools import cache
 
 import cv2

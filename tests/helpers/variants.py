@@ -1,7 +1,5 @@
 """Variants of a test of which some run always and all others in the slow suite."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable
 
 import pytest

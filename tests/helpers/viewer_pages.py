@@ -1,7 +1,5 @@
 """Materials for the live viewer."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 
 import cv2

@@ -3,8 +3,6 @@
 The networks compute in float32 with all of them.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from unittest.mock import patch
 

@@ -1,7 +1,5 @@
 """Pictures in other colours than sRGB's come out as the sRGB picture they were made from, by closed forms."""
 
-from __future__ import annotations
-
 import io
 import struct
 

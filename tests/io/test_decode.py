@@ -1,7 +1,5 @@
 """Photos that are cut short, damaged or too large are named; whole ones are read as others read them."""
 
-from __future__ import annotations
-
 import io
 import os
 import struct

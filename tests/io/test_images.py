@@ -1,7 +1,5 @@
 """Pictures in files become tensors, and what is no flat picture is refused by name."""
 
-from __future__ import annotations
-
 import os
 
 import cv2

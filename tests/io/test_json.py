@@ -1,7 +1,5 @@
 """JSON is read in one way: what is no JSON, or would do harm, is one error that names the file."""
 
-from __future__ import annotations
-
 import json
 import os
 

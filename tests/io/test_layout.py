@@ -1,7 +1,5 @@
 """Named parts of a vector."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

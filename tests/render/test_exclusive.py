@@ -1,7 +1,5 @@
 """Mitsuba's renderers in many threads: bits of one thread; the lock, Ctrl-C, the program's variant."""
 
-from __future__ import annotations
-
 import contextlib
 import gc
 import os

@@ -1,7 +1,5 @@
 """The search for a libLLVM: what is refused, proved and said. Trials run in child processes."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The live viewer: what travels is what was given."""
 
-from __future__ import annotations
-
 import base64
 import json
 import math

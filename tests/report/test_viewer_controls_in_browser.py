@@ -1,7 +1,5 @@
 """The live viewer's controls in a real Chromium: pointer, keys, touch, and a lost context."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from browser import FLAGS, opened

@@ -1,7 +1,5 @@
 """The live viewer in a real Chromium: its pixels are the analytic renderer's."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

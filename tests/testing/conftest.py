@@ -1,7 +1,5 @@
 """Fixtures that the tests of this folder share."""
 
-from __future__ import annotations
-
 import sys
 
 import flip_evaluator  # noqa: F401  (what is loaded here stays loaded after the small suites in this process)

@@ -1,7 +1,5 @@
 """Renderers that must agree: what is wrong is named."""
 
-from __future__ import annotations
-
 import math
 import re
 from pathlib import Path

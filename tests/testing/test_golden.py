@@ -1,7 +1,5 @@
 """Golden files in somebody else's test suite."""
 
-from __future__ import annotations
-
 import math
 import re
 

@@ -1,7 +1,5 @@
 """The pytest plugin is light, and loaded once."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """The Z-test against its own statistics, mpmath, and Mitsuba's noise."""
 
-from __future__ import annotations
-
 import math
 
 import mpmath

@@ -1,7 +1,5 @@
 """The soak: what a fit of an hour depends on, and what it is there to find. ``./run soak [steps]``."""
 
-from __future__ import annotations
-
 import gc
 import itertools
 import mmap

@@ -5,8 +5,6 @@ A chain of these leads to a common frame.
 Source: SIFT by Lowe 1999, 2004; RootSIFT by Arandjelovic and Zisserman 2012; MAGSAC++ by Barath et al. 2020.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection
 from dataclasses import dataclass

@@ -11,8 +11,6 @@ by enhanced correlation takes fake-022 from 0.11 to 1.09 pixels at 512 (brick-un
 Source: the paper, III.C, for aligned photos. Each step names its own source.
 """
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence

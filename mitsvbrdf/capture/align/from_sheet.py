@@ -5,8 +5,6 @@ points measured on edges of tags (bundle adjustment, Triggs et al. 2000), with Z
 and weak priors on the lens.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import replace

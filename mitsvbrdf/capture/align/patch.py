@@ -1,7 +1,5 @@
 """The patch that all photos show: the largest upright square of the plane, and the world around it."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

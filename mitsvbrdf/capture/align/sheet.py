@@ -6,8 +6,6 @@ Everything lies on a grid of cells, eight of which are a tag with its black bord
 them, outer edges of the tags.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path

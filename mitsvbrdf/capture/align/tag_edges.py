@@ -9,8 +9,6 @@ their black and white cells are measured instead. Where most of those in the pic
 the tag is there.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeAlias

@@ -4,8 +4,6 @@ A detector of tags needs white around each. Of a sheet without its white rim on 
 where it is: the print has hundreds.
 """
 
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path

@@ -3,8 +3,6 @@
 The albedo of each texel is eliminated (variable projection): it is what explains the samples best.
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -17,8 +17,6 @@ the residuals, as in :mod:`mitsvbrdf.calibrate.refine`. Where a material is hard
 large, and the priors remain.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace

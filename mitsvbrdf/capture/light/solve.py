@@ -5,8 +5,6 @@ is. Each photo's log radiance, less what the other photos say of its texels, is 
 flash would make.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace

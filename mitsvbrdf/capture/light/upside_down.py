@@ -5,8 +5,6 @@ a flash of its own. One flash at f, or at -f in photos turned, leaves a chi squa
 freedom in M photos. Beyond noise, noise is taken to be larger (quasi-likelihood, Wedderburn 1974).
 """
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

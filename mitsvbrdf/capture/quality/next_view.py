@@ -1,7 +1,5 @@
 """The next best view: where one more photo would show most new highlights, in words for a person."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@ A photo is compared with the others where they should agree. Each texel's radian
 apparent albedo; the median over the photos has neither highlight nor finger.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass

@@ -8,8 +8,6 @@ Limits were measured on 108 photos of twelve materials, none of which may be cal
 the worst of these.
 """
 
-from __future__ import annotations
-
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 

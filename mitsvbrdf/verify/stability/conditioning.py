@@ -6,8 +6,6 @@ normal 1 rad in its tangent plane (9 columns for ``roughconductor``, 7 for ``pri
 each other, so one backward pass for each row, of the sum over the texels, gives that row for all of them.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

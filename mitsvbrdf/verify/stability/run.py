@@ -3,8 +3,6 @@
 The verdict ``clamped`` names a cut of the model.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """The configurations of a stability run: ten small sweeps, each from harmless to extreme."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 

@@ -1,7 +1,5 @@
 """Matches of features."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 

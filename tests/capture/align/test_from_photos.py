@@ -1,7 +1,5 @@
 """Raw photos of a flat material to lens and poses: a simulated phone over a textured plane, all known."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

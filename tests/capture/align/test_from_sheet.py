@@ -1,7 +1,5 @@
 """The rig found from photos of the sheet."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from helpers.tag_sheet import LENS, MIDDLES, POSES, SHEET, on_grey, photograph

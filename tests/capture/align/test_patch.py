@@ -1,7 +1,5 @@
 """The patch that all photos show."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PIL import Image, ImageOps

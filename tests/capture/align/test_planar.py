@@ -1,7 +1,5 @@
 """Poses of a plane's photos: parallel ones, ones from one place, and how sure the focal length is."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import combinations
 

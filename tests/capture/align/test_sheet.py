@@ -1,7 +1,5 @@
 """The sheet of tags against AprilTag's own tables and its file's drawing commands."""
 
-from __future__ import annotations
-
 import re
 
 import cv2

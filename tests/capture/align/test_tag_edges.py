@@ -1,7 +1,5 @@
 """Edges of tags to hundredths of a pixel."""
 
-from __future__ import annotations
-
 import cv2
 import numpy as np
 import pytest

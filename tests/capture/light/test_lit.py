@@ -1,7 +1,5 @@
 """What a photo does not reach, and vignetting."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Photos saved upside down are found by the flash."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from helpers.made_photos import LENS, ground, poses, stored, taken

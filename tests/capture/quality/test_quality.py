@@ -1,7 +1,5 @@
 """Which photos are rejected, and where one more is worth most."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The solver of texels against a float64 twin of analytic renderer and autograd, and known materials."""
 
-from __future__ import annotations
-
 import dataclasses
 import gc
 
