@@ -21,22 +21,14 @@ CORNERS = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5,
 
 @dataclass(frozen=True)
 class Rectified:
-    """Photos as they came, display values by name.
+    """Photos as they came, display values by name."""
 
-    Args:
-        pictures: the patch alone, R x R x 3 float32 in [0, 1] with the lens's vignetting; NaN beyond a
-            photo's edges and where its alpha masks it.
-        overlap: share of the patch within a photo, masked or not.
-        small: whole photos, at most 1024 pixels long, as stored.
-        outside: share of a photo's pixels whose colours lay outside of sRGB.
-        notes: what a user should know.
-    """
-
+    # the patch alone, R x R x 3 float32 in [0, 1], with vignetting; NaN beyond a photo's edges or behind a mask
     pictures: dict[str, np.ndarray]
-    overlap: dict[str, float]
-    small: dict[str, np.ndarray]
-    outside: dict[str, float]
-    notes: tuple[str, ...]
+    overlap: dict[str, float]  # share of the patch within a photo, masked or not
+    small: dict[str, np.ndarray]  # whole photos, at most 1024 pixels long, as stored
+    outside: dict[str, float]  # share of a photo's pixels whose colours lay outside of sRGB
+    notes: tuple[str, ...]  # what a user should know
 
     @classmethod
     def of(cls, rig: Rig, photos: Sequence[Photo], resolution: int,

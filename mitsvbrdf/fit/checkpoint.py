@@ -3,8 +3,6 @@
 A checksum of tensors and note tells a damaged file from a whole one: the format has none of its own.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """What is known of a fit once its loop has ended: light power, errors, uncertainty, views, warnings."""
 
-from __future__ import annotations
-
 import math
 import statistics
 from collections.abc import Mapping

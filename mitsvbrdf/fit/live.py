@@ -24,35 +24,20 @@ SHARE = 0.05  # of the time that showing may take, at most
 
 @dataclass(frozen=True)
 class LiveState:
-    """A running fit at one moment.
+    """A running fit at one moment."""
 
-    Args:
-        svbrdf: the maps of the latest measurement, or what a method shows in between; at most 256 px.
-        capture: name of the folder of the photos; empty without one.
-        method: how it fits.
-        renderer: its name.
-        resolution: pixels a side of the photos.
-        iteration: steps done.
-        seconds: run time.
-        share: of the limits that is used, 0 to 1.
-        stopped: why the fit ended; None while it runs.
-        latest_is_best: whether the fit will return the latest maps, not those of the lowest error.
-        trace: one dict a measurement.
-        warnings: so far.
-    """
-
-    svbrdf: SVBRDF
-    capture: str
-    method: str
-    renderer: str
-    resolution: int
-    iteration: int
-    seconds: float
-    share: float
-    stopped: str | None
-    latest_is_best: bool
-    trace: list[dict]
-    warnings: list[str]
+    svbrdf: SVBRDF  # the maps of the latest measurement, or what a method shows in between; at most 256 px
+    capture: str  # name of the folder of the photos; empty without one
+    method: str  # how it fits
+    renderer: str  # its name
+    resolution: int  # pixels a side of the photos
+    iteration: int  # steps done
+    seconds: float  # run time
+    share: float  # of the limits that is used, 0 to 1
+    stopped: str | None  # why the fit ended; None while it runs
+    latest_is_best: bool  # whether the fit will return the latest maps, not those of the lowest error
+    trace: list[dict]  # one dict a measurement
+    warnings: list[str]  # so far
 
 
 class Live:

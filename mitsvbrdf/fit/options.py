@@ -1,7 +1,5 @@
 """Options of a fit beside the settings of its method: photos, how they are read, and the renderer."""
 
-from __future__ import annotations
-
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any, Literal
 

@@ -1,7 +1,5 @@
 """``fit.json`` as it is read back: the kinds of its fields, and what is missing or wrong."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any, Generic, TypeVar, get_args
 

@@ -1,7 +1,5 @@
 """Warnings about a fit, in sentences: what was seen, and what it may mean."""
 
-from __future__ import annotations
-
 import statistics
 from collections.abc import Iterator, Sequence
 

@@ -17,19 +17,12 @@ WORTH = 0.02  # of the patch: less is no reason to take one more photo
 
 @dataclass(frozen=True)
 class NextView:
-    """A place to take one more photo from.
+    """A place to take one more photo from."""
 
-    Args:
-        camera: x, y, z in the unit of the views.
-        gain: share of the patch that it would be the first to show a highlight of.
-        near: number of the photo that was taken closest to it.
-        words: what to do, for a person.
-    """
-
-    camera: tuple[float, float, float]
-    gain: float
-    near: int
-    words: str
+    camera: tuple[float, float, float]  # x, y, z in the unit of the views
+    gain: float  # share of the patch that it would be the first to show a highlight of
+    near: int  # number of the photo that was taken closest to it
+    words: str  # what to do, for a person
 
 
 def next_best_view(views: Views, names: Sequence[str], unit: str) -> NextView | None:

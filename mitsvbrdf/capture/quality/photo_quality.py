@@ -30,29 +30,17 @@ SLIGHT_COLOUR, SLIGHT = 0.1, 0.3  # and by how much the texel must be of another
 
 @dataclass(frozen=True)
 class PhotoQuality:
-    """Numbers of one photo.
+    """Numbers of one photo."""
 
-    Args:
-        name: of the file.
-        overlap: share of the patch within the photo, masked or not.
-        clipped: share of its texels with a channel at the limit.
-        sharpness: how much detail it has in the direction that has least, relative to the median photo.
-        stops: how much brighter than the others it shows the same texels, as powers of two.
-        unlike: share of the patch, in one piece, that is of a colour or a darkness that no other photo shows.
-        unlike_detail: the same, of texels that lack the detail that the others agree on.
-        evenness: 0 where light falls off as a flash's, 1 where it is even; None where that was not asked.
-        masked: share of the patch behind its mask or outside; the other numbers are of the rest.
-    """
-
-    name: str
-    overlap: float
-    clipped: float
-    sharpness: float
-    stops: float
-    unlike: float
-    unlike_detail: float
-    evenness: float | None = None
-    masked: float = 0.0
+    name: str  # of the file
+    overlap: float  # share of the patch within the photo, masked or not
+    clipped: float  # share of its texels with a channel at the limit
+    sharpness: float  # detail in the direction that has least, relative to the median photo
+    stops: float  # how much brighter than the others it shows the same texels, as powers of two
+    unlike: float  # share of the patch, in one piece, of a colour or a darkness that no other photo shows
+    unlike_detail: float  # the same, of texels that lack the detail that the others agree on
+    evenness: float | None = None  # 0: light falls off as a flash's, 1: it is even; None: not asked
+    masked: float = 0.0  # share of the patch behind its mask or outside; the other numbers are of the rest
 
 
 def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, overlap: Mapping[str, float],

@@ -65,17 +65,11 @@ def _reason(photo: PhotoQuality, qualities: Sequence[PhotoQuality], side: int,
 
 @dataclass(frozen=True)
 class Verdicts:
-    """What is said of photos.
+    """What is said of photos."""
 
-    Args:
-        qualities: how good each photo is, by name.
-        rejected: reason, by name of each photo that is rejected.
-        misled: whether poses found with a rejected photo are not to be trusted.
-    """
-
-    qualities: dict[str, PhotoQuality]
-    rejected: dict[str, str]
-    misled: bool
+    qualities: dict[str, PhotoQuality]  # how good each photo is, by name
+    rejected: dict[str, str]  # reason, by name of each photo that is rejected
+    misled: bool  # whether poses found with a rejected photo are not to be trusted
 
 
 def judge(photos: Tensor, views: Views, transfer: color.Transfer, overlap: Mapping[str, float],
