@@ -98,18 +98,18 @@ class FitConfig:
 
     @property
     def holds_views(self) -> bool:
-        """Whether the views stay as the capture has them, stated or not."""
-        return False
+        """Whether the views stay as the capture has them, stated or not: asked for, where there is a choice."""
+        return getattr(self, "calibrate", None) is False
 
     @property
     def refines_views(self) -> bool | None:
         """Whether each view is refined; None: a stated view only if the photos do not follow the model."""
-        return False
+        return getattr(self, "calibrate", False)
 
     @property
     def wants_flash_offset(self) -> bool | None:
         """Whether the flash offset is to be fitted; None where the method has no such unknown."""
-        return None
+        return getattr(self, "flash_offset", None)
 
 
 @dataclass(frozen=True)
@@ -144,21 +144,6 @@ class HierarchicalConfig(FitConfig):
     flash_offset: Switch = True
     """Fit one sideways distance between lens and flash for all photos."""
 
-    @property
-    def holds_views(self) -> bool:
-        """Whether the views stay as the capture has them: asked for."""
-        return self.calibrate is False
-
-    @property
-    def refines_views(self) -> bool | None:
-        """Whether each photo's view is refined, as asked for."""
-        return self.calibrate
-
-    @property
-    def wants_flash_offset(self) -> bool | None:
-        """Whether the flash offset is to be fitted, as asked for."""
-        return self.flash_offset
-
 
 @dataclass(frozen=True)
 class HybridConfig(FitConfig):
@@ -180,11 +165,6 @@ class HybridConfig(FitConfig):
     """Weight of the tilt of the normals."""
     flash_offset: Switch = True
     """Fit one sideways distance between lens and flash for all photos."""
-
-    @property
-    def wants_flash_offset(self) -> bool | None:
-        """Whether the flash offset is to be fitted, as asked for."""
-        return self.flash_offset
 
 
 @dataclass(frozen=True)

@@ -72,12 +72,14 @@ def as_bsdf(svbrdf: SVBRDF, bsdf: Bsdf) -> SVBRDF:
 
 
 @entry()
-def random_material(bsdf: Bsdf, resolution: int = 48, seed: int = 0) -> SVBRDF:
-    """A hard material, float32: random colours, normals tilted by 0.15 a texel, roughness from 0.15."""
+def random_material(bsdf: Bsdf, resolution: int = 48, seed: int = 0, slope: float = 0.15) -> SVBRDF:
+    """A hard material, float32: random colours, normals of random slopes (``slope`` is their standard
+    deviation), roughness from 0.15.
+    """
     g = torch.Generator().manual_seed(seed)
     maps = {name: torch.rand(resolution, resolution, channels, generator=g)
             for name, channels in CHANNELS[bsdf].items()}
-    slopes = 0.15 * torch.randn(resolution, resolution, 2, generator=g)
+    slopes = slope * torch.randn(resolution, resolution, 2, generator=g)
     maps["normal"] = F.normalize(torch.cat((slopes, torch.ones(resolution, resolution, 1)), -1), dim=-1)
     maps["roughness"] = 0.15 + 0.8 * maps["roughness"]
     return SVBRDF(bsdf, maps)

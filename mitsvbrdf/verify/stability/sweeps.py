@@ -8,6 +8,7 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ... import color
+from ...material.corner_cases import random_material
 from ...material.maps import CHANNELS, SVBRDF, Bsdf, flat
 from ...render.analytic import MIN_ALPHA
 from ...views import Views, nine_view_grid, texel_positions
@@ -75,14 +76,9 @@ def material(bsdf: Bsdf = "roughconductor", side: int = CASE_SIDE, normal: Tenso
     """Random maps: F0 0.02 to 0.92, roughness 0.15 to 0.95, normals tilted by about 8 degrees. Values by map
     name are numbers, colours or maps.
     """
-    rng = torch.Generator().manual_seed(0)
-    maps = {name: torch.rand(side, side, channels, generator=rng)
-            for name, channels in CHANNELS[bsdf].items()}
-    slopes = 0.1 * torch.randn(side, side, 2, generator=rng)
-    maps["roughness"] = 0.15 + 0.8 * maps["roughness"]
+    maps = dict(random_material(bsdf, side, slope=0.1).maps)
     if "specular" in maps:
         maps["specular"] = 0.02 + 0.9 * maps["specular"]
-    maps["normal"] = F.normalize(torch.cat((slopes, torch.ones(side, side, 1)), dim=-1), dim=-1)
     maps |= {name: torch.as_tensor(value, dtype=torch.float32).expand_as(maps[name]).clone()
              for name, value in values.items() if name in maps}
     return SVBRDF(bsdf, maps | ({} if normal is None else {"normal": normal.float()}))
