@@ -23,7 +23,7 @@ CORNERS = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5,
 class Rectified:
     """Photos as they came, display values by name."""
 
-    # the patch alone, R x R x 3 float32 in [0, 1], with vignetting; NaN beyond a photo's edges or behind a mask
+    # the patch alone, R x R x 3 float32 in [0, 1], with vignetting; NaN beyond the photo or behind its mask
     pictures: dict[str, np.ndarray]
     overlap: dict[str, float]  # share of the patch within a photo, masked or not
     small: dict[str, np.ndarray]  # whole photos, at most 1024 pixels long, as stored

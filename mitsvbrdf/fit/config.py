@@ -98,7 +98,7 @@ class FitConfig:
 
     @property
     def holds_views(self) -> bool:
-        """Whether the views stay as the capture has them, stated or not: asked for, where there is a choice."""
+        """Whether the views stay as the capture has them, stated or not, as asked for."""
         return getattr(self, "calibrate", None) is False
 
     @property
