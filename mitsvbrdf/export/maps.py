@@ -7,14 +7,15 @@ from zlib import crc32
 
 import torch
 
-from ..io import files
+from ..io import files, images
 from ..material.conversion import FULL_LEVEL, as_shown, layered
 from ..material.encoding import ENCODINGS
+from ..material.map_set import DESCHAINTRE
 from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..material.naming import FILE_NAMES
 from ..material.relief import heights, occlusion
 from .residual import residual
-from .textures import DEFAULTS, NORMALS, NOTES, Export, ExportSettings, write_texture
+from .textures import DEFAULTS, LINEAR, NORMALS, NOTES, Export, ExportSettings, Texture, stored, write_texture
 
 LONGEST = 100  # bytes of a material's name in file names; more would not fit every file system
 
@@ -27,6 +28,8 @@ def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
     roughness and metallic packed in the channels of one file.
     """
     naming, normal, side = settings.naming, settings.normal, settings.side
+    if naming == "deschaintre":
+        return _strip(folder, svbrdf, settings)
     both, lost = dict(svbrdf.as_roughconductor().maps), {}
     level = (both["specular"].mean(dim=-1, keepdim=True) / FULL_LEVEL).clamp_max(1.0)
     material = svbrdf
@@ -59,6 +62,17 @@ def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
     lossy = bool(lost) and "metallic" in chosen
     notes = (NOTES["maps"]["lossy"],) * lossy + (NOTES["maps"]["gamma"],) * (naming == "materialgan")
     return Export(tuple(texture.file for texture in written), tuple(written), notes, lost if lossy else None)
+
+
+def _strip(folder: Path, svbrdf: SVBRDF, settings: ExportSettings) -> Export:
+    """The strip of :data:`DESCHAINTRE`, all of it linear."""
+    maps, file = svbrdf.as_roughconductor().maps, f"{_safe(settings.name)}.png"
+    squares = [stored(name, maps[name], settings.normal) if name == "normal" else maps[name].clamp(0, 1)
+               for name in DESCHAINTRE]
+    images.write_png(folder / file, torch.cat([square.expand(-1, -1, 3) for square in squares], dim=1),
+                     settings.bits)
+    holds = f"{', '.join(DESCHAINTRE)} side by side"
+    return Export((file,), (Texture(file, holds, LINEAR, settings.bits, NORMALS[settings.normal]),))
 
 
 def _safe(name: str) -> str:

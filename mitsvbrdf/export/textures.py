@@ -15,7 +15,7 @@ from ..material.encoding import NormalConvention
 from ..material.maps import COLOURS
 
 Bits = Literal[8, 16]
-Naming = Literal["own", "polyhaven", "ambientcg", "substance", "materialgan"]
+Naming = Literal["own", "polyhaven", "ambientcg", "substance", "materialgan", "deschaintre"]
 
 SRGB, LINEAR = "sRGB", "linear"
 NOTES = tomllib.loads(Path(__file__).with_name("notes.toml").read_text(encoding="utf-8"))  # by format

@@ -13,11 +13,12 @@ from .. import color
 from ..errors import MapsError
 from ..io import files, images
 from ..io.entry import entry
-from .encoding import ENCODINGS, NormalConvention
+from .encoding import ENCODINGS, NormalConvention, asked_codes, read_material_json
 from .gltf_set import gltf_set
-from .map_set import MapSet, find_maps, read_set
+from .map_set import MapSet, find_maps, read_set, strip_set
 from .maps import COLOURS, SVBRDF, TITLES, Bsdf
 from .mtlx_set import mtlx_set
+from .naming import SUFFIXES
 
 DETAIL, FORMER_DETAIL = "detail", "look"
 MAP_FOLDERS = "maps", DETAIL, FORMER_DETAIL  # of a fit: expected values, and a plausible draw
@@ -30,13 +31,14 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
 
     Understood: our own folders, and names of libraries and programs (Poly Haven, ambientCG, Substance, glTF;
     words of :mod:`mitsvbrdf.material.naming`) with prefixes, sizes and packed channels; the field's four
-    images named diffuse, specular, roughness, normal or dif, spe, rgh, nom; its strip ``tex.png`` of diffuse,
-    normal, roughness, specular side by side (MaterialGAN). EXR is preferred over PNG. A folder that has
-    ``maps/`` inside, or no maps but ``textures/``, stands for that.
+    images named diffuse, specular, roughness, normal or dif, spe, rgh, nom; its strips of maps side by side,
+    the normals second (MaterialGAN; gamma 2.2) or first (Deschaintre; linear), also after an input photo.
+    EXR is preferred over PNG. A folder that has ``maps/`` inside, or no maps but ``textures/``, stands for
+    that.
 
     Args:
-        folder: the folder, or a .glb, .gltf or .mtlx file of one material; a .mtlx in a folder is followed
-            before its names.
+        folder: the folder (of a strip: as ``tex.png`` or ``strip.png``), or a .glb, .gltf or .mtlx file of one
+            material, or the image of a strip; a .mtlx in a folder is followed before its names.
         bsdf: which set to read where both are there; left out: what material.json says, else ``principled``
             where base_color and metallic are there. A specular level makes that a ``roughconductor``.
         encoding: of files of 8 and 16 bits: ``linear``, ``gamma 2.2`` or ``srgb``, or by map
@@ -61,6 +63,9 @@ def _found(path: Path, encoding: str | None, normal: NormalConvention | None = N
     """The set of a document, of that in a folder, or of a folder by its names."""
     if path.suffix.lower() in (".glb", ".gltf") and path.is_file():
         return gltf_set(path, encoding, normal)
+    if path.suffix.lower() in SUFFIXES and path.is_file():
+        stated = read_material_json(path.parent).get("encoding", {}) | asked_codes(encoding, normal)
+        return contextlib.nullcontext(strip_set(path, stated))
     documents = [*path.glob("material.mtlx")] or sorted(path.glob("*.mtlx")) or (
         [path] if path.suffix.lower() == ".mtlx" and path.is_file() else [])
     if not documents or (path / "material.json").is_file():

@@ -24,7 +24,13 @@ RINGING = 0.05  # how far lossy coders of EXR leave [0, 1]
 TINT = 0.05  # mean difference of channels that no grey map has: several maps are packed in it
 LOWEST_F0 = 0.01  # half that of water
 USUAL_SIDE = 64  # texels of a material without a texture
-STRIP = "diffuse", "normal", "roughness", "specular"  # side by side, in MaterialGAN's tex.png
+STRIPS = "tex.png", "strip.png"  # names of strips of maps in folders
+# Maps of a strip from left to right by the place of the normals, and how 8 bits are read: Deschaintre 2018's,
+# also with an input photo before them, and MaterialGAN's.
+FLAT = 0.5, 0.5, 1.0  # normals as stored
+DESCHAINTRE = "normal", "diffuse", "roughness", "specular"
+ORDERS = {0: (DESCHAINTRE, "linear"),
+          1: (("diffuse", "normal", "roughness", "specular"), "gamma 2.2")}
 
 
 class MapSet(NamedTuple):
@@ -67,13 +73,31 @@ def find_maps(folder: Path, encoding: str | None = None, normal: NormalConventio
         folder = folder / "textures"
         chosen, passed = sources(folder)
     about = read_material_json(folder)
-    strip = folder / "tex.png"
-    if "diffuse" not in chosen and strip.is_file() and about.get("bsdf") != "principled":
-        chosen, passed = {name: Source(strip, part=k) for k, name in enumerate(STRIP)}, [
-            path for path in passed if path != strip]
+    strip = next((path for name in STRIPS if (path := folder / name).is_file()), None)
+    if "diffuse" not in chosen and strip and about.get("bsdf") != "principled":
+        return strip_set(strip, about.get("encoding", {}) | asked)
     habit = "gamma 2.2" if is_of_field(chosen) else "srgb"
     return MapSet(folder, chosen, about.get("encoding", {}) | asked, habit, about.get("bsdf"),
                   tuple(path.name for path in passed))
+
+
+def strip_set(path: Path, stated: Mapping[str, str]) -> MapSet:
+    """Four square maps side by side in one file, or five pictures of which the last four are maps.
+
+    The normals tell the order: of the first two maps they are the one that is more as flat ones are.
+
+    Raises:
+        MapsError: another number of squares.
+    """
+    image = images.read_image(path, MapsError, data=True)
+    side, count = image.shape[0], image.shape[1] // image.shape[0]
+    if count not in (4, 5) or image.shape[1] != count * side:
+        raise MapsError("a strip of four or five squares", f"{path} of {image.shape[1]} x {side}",
+                        "give normal, diffuse, roughness, specular side by side")
+    usual = image.mean(dim=0).reshape(count, side, -1).mean(dim=1)[-4:]
+    order, habit = ORDERS[int((usual[:2] - torch.tensor(FLAT)[:image.shape[2]]).abs().sum(dim=1).argmin())]
+    parts = {name: Source(path, part=count - 4 + k) for k, name in enumerate(order)}
+    return MapSet(path, parts, stated, habit, "roughconductor")
 
 
 def read_set(found: MapSet, bsdf: Bsdf | None = None) -> SVBRDF:
@@ -195,9 +219,7 @@ def read_map(source: Source, name: str, channels: int, code: str, way: str = OVE
     path, exr = source.path, source.path.suffix.lower() == ".exr"
     image = images.read_image(path, MapsError, data=name not in COLOURS)
     if source.part is not None:
-        if image.shape[1] != 4 * (side := image.shape[0]):
-            raise MapsError("a strip of four square maps", f"{path} of {image.shape[1]} x {side}",
-                            f"give {', '.join(STRIP)} side by side")
+        side = image.shape[0]
         image = image[:, source.part * side:(source.part + 1) * side]
     if not torch.isfinite(image).all():
         raise MapsError("finite values", f"NaN or infinity in {path}", "mend or re-export the map")

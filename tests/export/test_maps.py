@@ -104,7 +104,7 @@ def test_blender_knows_the_files_by_their_names(naming, tmp_path):
         assert meanings == {texture["holds"].split()[0].rstrip(",")}, texture["file"]
 
 
-@pytest.mark.parametrize("naming", ["own", "materialgan"])
+@pytest.mark.parametrize("naming", ["own", "materialgan", "deschaintre"])
 def test_exported_maps_are_read_again(material, naming, tmp_path):
     export_material(material, tmp_path, ["maps"], settings=ExportSettings(naming=naming))
     found = load_maps(tmp_path / "maps")

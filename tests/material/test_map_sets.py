@@ -206,3 +206,29 @@ def test_a_downloaded_chess_set(data_folder):
         found = load_maps(data_folder / "files" / "3")
     assert float(found["roughness"].mean()) == pytest.approx(0.272, abs=1e-3)
     assert found["base_color"].mean((0, 1)).numpy() == pytest.approx([0.05295, 0.05885, 0.05018], abs=2e-4)
+
+
+@pytest.mark.parametrize("order", ["NDRS", "DNRS"])
+@pytest.mark.parametrize("photo", [False, True])
+def test_a_strip_is_read_in_the_order_that_its_normals_tell(order, photo, tmp_path):
+    """Deschaintre's are linear, MaterialGAN's have gamma 2.2; five squares begin with a photo."""
+    stored = {"N": (128, 128, 255), "D": (40, 20, 230), "R": (60, 60, 60), "S": (90, 80, 70)}
+    squares = [np.full((8, 8, 3), stored[letter], np.uint8) for letter in "D" * photo + order]
+    path = tmp_path / "tex.png"
+    Image.fromarray(np.concatenate(squares, axis=1)).save(path)
+    power = {"NDRS": 1.0, "DNRS": 2.2}[order]
+    for given in (path, tmp_path):
+        with pytest.warns(AssumedWarning, match={"NDRS": "linear", "DNRS": "gamma 2.2"}[order]):
+            found = load_maps(given)
+        assert found["normal"][..., 2].min() > 0.999
+        for letter, name in {"D": "diffuse", "R": "roughness", "S": "specular"}.items():
+            wanted = (np.array(stored[letter]) / 255) ** power
+            assert np.allclose(found[name], wanted[:found[name].shape[-1]], atol=1e-5), name
+    assert load_maps(path, encoding="srgb")["specular"][0, 0, 0] == pytest.approx(0.1022, abs=1e-4)  # IEC 61966
+
+
+@pytest.mark.parametrize("count", [1, 3, 6, 4.5])
+def test_a_strip_of_other_shape_is_refused(count, tmp_path):
+    Image.new("RGB", (int(8 * count), 8)).save(tmp_path / "maps.png")
+    with pytest.raises(MapsError, match="four or five squares"):
+        load_maps(tmp_path / "maps.png")
