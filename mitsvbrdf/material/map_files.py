@@ -37,8 +37,8 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
     that.
 
     Args:
-        folder: the folder (of a strip: as ``tex.png`` or ``strip.png``), or a .glb, .gltf or .mtlx file of one
-            material, or the image of a strip; a .mtlx in a folder is followed before its names.
+        folder: the folder (of a strip: as ``tex.png`` or ``strip.png``), or a .glb, .gltf or .mtlx file of
+            one material, or the image of a strip; a .mtlx in a folder is followed before its names.
         bsdf: which set to read where both are there; left out: what material.json says, else ``principled``
             where base_color and metallic are there. A specular level makes that a ``roughconductor``.
         encoding: of files of 8 and 16 bits: ``linear``, ``gamma 2.2`` or ``srgb``, or by map
