@@ -98,7 +98,7 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
 
 
 def _assumed(stated: dict, path: Path, rows: int) -> dict:
-    """What a capture without ``camera_pos`` leaves open: the default geometry, in its unit of length."""
+    """The default geometry of a capture without ``camera_pos``, in its unit of length."""
     beside = [key for key in ("light_pos", "light_pow") if key in stated]
     if beside:
         raise CaptureError("the key 'camera_pos' beside light_pos and light_pow",

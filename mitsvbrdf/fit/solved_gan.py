@@ -146,7 +146,7 @@ class SolvedGan(Method[GanConfig]):
         return F.adaptive_avg_pool2d(square[None, None].float(), min(BLOCKS, len(square))).flatten()
 
     def estimate(self) -> tuple[SVBRDF, Views]:
-        """The answer from all photos so far, with the change of the maps that it helped."""
+        """The solved maps, with the change of those maps that the game helped."""
         if self.answer is None:
             return self.solvers[0].estimate()
         svbrdf, views = self.answer

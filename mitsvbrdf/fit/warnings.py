@@ -76,7 +76,7 @@ def about_photos(capture: Capture) -> Iterator[str]:
 
 
 def _twice(capture: Capture) -> Iterator[str]:
-    """Pairs of photos that are the same picture; of many copies of one, each beside the first."""
+    """Pairs of equal photos; of many copies, each is paired with the first."""
     small = F.adaptive_avg_pool2d(capture.photos.permute(0, 3, 1, 2),
                                   min(COARSE, capture.resolution)).flatten(1)
     named: set[int] = set()

@@ -79,7 +79,7 @@ def to_srgb(pixels: np.ndarray, profile: Profile) -> tuple[np.ndarray, float]:
 
 
 def _outside(pixels: np.ndarray, profile: Profile) -> float:
-    """Share of pixels (N x 3) outside of sRGB, even where each number is half a step nearer to grey."""
+    """Share of pixels (N x 3) that stay outside of sRGB when each number moves half a step to grey."""
     most = np.iinfo(pixels.dtype).max
     stored = pixels / np.float32(most)
     nearer = stored + (stored.mean(axis=1, keepdims=True) - stored).clip(-0.5 / most, 0.5 / most)

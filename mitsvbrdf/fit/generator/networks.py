@@ -68,7 +68,7 @@ class TwoStreamGenerator(nn.Module):
             self.begin_change()
 
     def begin_change(self) -> None:
-        """Set the last layers to zero: what is put out is no change."""
+        """Set the last layers to zero, so that the output is no change."""
         for decoder in (self.normal_roughness, self.diffuse_specular):
             if decoder is not None:
                 zero(decoder[-1])
@@ -159,7 +159,7 @@ class AllPhotosGenerator(nn.Module):
             self.begin_change()
 
     def begin_change(self) -> None:
-        """Set the last layers to zero: what is put out is no change."""
+        """Set the last layers to zero, so that the output is no change."""
         for decoder in self.up:
             zero(list(decoder.children())[-1])
 
