@@ -3,15 +3,16 @@
 Nothing is imported before it is known to be safe: an unsuitable libLLVM is met in a child process only.
 """
 
-import importlib.metadata
+import importlib
+import math
 import os
 import platform
 import sys
 from dataclasses import asdict, dataclass
 from json import dumps
-from pathlib import Path
 
 from .errors import BackendError
+from .io.provenance import memory_gib, usable_cores, version_of
 
 PACKAGES = {"torch": "torch", "numpy": "numpy", "opencv": "cv2", "OpenEXR": "OpenEXR",
             "safetensors": "safetensors", "scipy": "scipy", "matplotlib": "matplotlib", "jinja2": "jinja2",
@@ -38,7 +39,7 @@ def diagnose(variant: str = "llvm_ad_rgb") -> list[Row]:
     python = f"{platform.python_version()} ({sys.executable})"
     fresh = sys.version_info >= (3, 11)
     return [Row("Python", python, fresh, "" if fresh else "install Python 3.11 or newer"),
-            Row("mitsvbrdf", _version("mitsvbrdf") or "not installed, run from its folder"),
+            Row("mitsvbrdf", version_of("mitsvbrdf") or "not installed, run from its folder"),
             *(_package(name, module) for name, module in PACKAGES.items()),
             *(_extra(name, module) for name, module in EXTRAS.items()),
             *_mitsuba(variant), Row("threads", _threads()), Row("memory", _memory())]
@@ -61,20 +62,13 @@ def doctor(json: bool = False, variant: str = "llvm_ad_rgb") -> int:
     return 0 if well else 1
 
 
-def _version(distribution: str) -> str:
-    try:
-        return importlib.metadata.version(distribution)
-    except importlib.metadata.PackageNotFoundError:
-        return ""
-
-
 def _package(name: str, module: str) -> Row:
     distribution = DISTRIBUTIONS.get(module, module)
     try:
         found = importlib.import_module(module)
     except Exception as reason:  # a broken binary raises OSError and others; all mean that it cannot be used
         return Row(name, f"cannot be imported: {reason}", False, f"pip install {distribution}")
-    return Row(name, _version(distribution) or str(getattr(found, "__version__", "version unknown")), True)
+    return Row(name, version_of(distribution) or str(getattr(found, "__version__", "version unknown")), True)
 
 
 def _extra(name: str, module: str) -> Row:
@@ -85,7 +79,7 @@ def _extra(name: str, module: str) -> Row:
 
 def _mitsuba(variant: str) -> list[Row]:
     """Rows of Mitsuba, Dr.Jit, each libLLVM and the variant. Only a proved libLLVM lets Mitsuba in."""
-    versions = {name: _version(name) for name in ("mitsuba", "drjit")}
+    versions = {name: version_of(name) for name in ("mitsuba", "drjit")}
     rows = [Row(name, version, True) if version else Row(name, "not installed", False, "pip install mitsuba")
             for name, version in versions.items()]
     try:
@@ -107,20 +101,15 @@ def _mitsuba(variant: str) -> list[Row]:
 
 
 def _threads() -> str:
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     torch = sys.modules.get("torch")
     own = f", torch uses {torch.get_num_threads()}" if torch else ""
-    return f"{os.cpu_count()} CPUs, {usable} usable{own}"
+    return f"{os.cpu_count()} CPUs, {usable_cores()} usable{own}"
 
 
 def _memory() -> str:
     """Total and available memory, where the system tells."""
-    try:
-        told = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
-        total, free = (int(told[name].split()[0]) / 2**20 for name in ("MemTotal", "MemAvailable"))
-        return f"{total:.1f} GiB, {free:.1f} GiB available"
-    except (OSError, KeyError, ValueError):
-        return "unknown"
+    total, free = memory_gib()
+    return f"{total:.1f} GiB, {free:.1f} GiB available" if math.isfinite(total) else "unknown"
 
 
 if __name__ == "__main__":

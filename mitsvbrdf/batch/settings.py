@@ -1,9 +1,9 @@
 """How a batch runs, whatever it fits."""
 
-import os
 from dataclasses import dataclass
 
 from ..errors import ConfigError
+from ..io.provenance import memory_gib, usable_cores
 
 HEADROOM = 0.9  # of the memory that is free when the batch begins, for its workers together
 LEAST_GIB = 1.5  # a worker holds about 0.7 GiB before it fits, and so much at 256 px
@@ -46,19 +46,9 @@ class BatchSettings:
         """How many workers this machine has room for."""
         if self.workers:
             return self.workers
-        cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-        return int(max(1, min(cores // self.threads, free_gib() // (self.memory or LEAST_GIB))))
+        return int(max(1, min(usable_cores() // self.threads, memory_gib()[1] // (self.memory or LEAST_GIB))))
 
     def local_memory(self) -> float | None:
         """GiB that each worker may take here; None is no limit."""
-        share = HEADROOM * free_gib() / self.local_workers()
+        share = HEADROOM * memory_gib()[1] / self.local_workers()
         return self.memory or (round(share, 2) if share < NO_LIMIT else None)
-
-
-def free_gib() -> float:
-    """Memory that is free on this machine in GiB; infinity where it cannot be told."""
-    try:
-        with open("/proc/meminfo") as lines:
-            return next(int(line.split()[1]) for line in lines if line.startswith("MemAvailable")) / 2**20
-    except (OSError, StopIteration, ValueError):
-        return NO_LIMIT
