@@ -77,14 +77,8 @@ def judge(photos: Tensor, views: Views, transfer: color.Transfer, overlap: Mappi
           measured: Tensor | None = None) -> Verdicts:
     """Verdicts on photos, each beside the others.
 
-    Args:
-        photos: N x R x R x 3 display values in [0, 1], rectified.
-        views: theirs.
-        transfer: of the photos.
-        overlap: share of the patch within each, by name, in the order of the photos.
-        evenness: see :class:`~.photo_quality.PhotoQuality`.
-        fired: "fired" or "off" by name, as EXIF says of the flash.
-        measured: N x R x R, False where photos are made up; None: nowhere.
+    The arguments are those of :func:`~.photo_quality.photo_qualities`, and ``fired``: "fired" or "off" by
+    name, as EXIF says of the flash.
     """
     found = photo_qualities(photos, views, transfer, overlap, evenness, measured)
     rejected, misled = dict[str, str](), False
