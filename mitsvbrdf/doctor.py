@@ -16,7 +16,8 @@ from .io.provenance import memory_gib, usable_cores, version_of
 
 PACKAGES = {"torch": "torch", "numpy": "numpy", "opencv": "cv2", "OpenEXR": "OpenEXR",
             "safetensors": "safetensors", "scipy": "scipy", "matplotlib": "matplotlib", "jinja2": "jinja2",
-            "pillow": "PIL", "simplejpeg": "simplejpeg", "mpmath": "mpmath", "tyro": "tyro", "rich": "rich"}
+            "pillow": "PIL", "simplejpeg": "simplejpeg", "imagecodecs": "imagecodecs", "filelock": "filelock",
+            "msgspec": "msgspec", "pandas": "pandas", "tyro": "tyro", "rich": "rich"}
 # By the extra that installs it.
 EXTRAS = {"flip": "flip_evaluator", "movie": "av", "heic": "pillow_heif", "raw": "rawpy", "batch": "ray",
           "s3": "s3fs"}

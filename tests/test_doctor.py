@@ -3,8 +3,11 @@
 import builtins
 import importlib.metadata
 import json
+import re
+import tomllib
 
 import pytest
+from helpers import ROOT
 
 from mitsvbrdf import doctor
 from mitsvbrdf.errors import BackendError
@@ -24,6 +27,12 @@ def test_here_everything_is_there(capsys):
     assert rows["torch"]["value"] == importlib.metadata.version("torch")
     assert rows["opencv"]["value"] == importlib.metadata.version("opencv-contrib-python-headless")
     assert "GiB" in rows["memory"]["value"] or rows["memory"]["value"] == "unknown"
+
+
+def test_every_dependency_is_looked_for():
+    stated = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    names = {re.match(r"[\w-]+", each)[0] for each in stated} - {"mitsuba", "drjit"}  # by name
+    assert {doctor.DISTRIBUTIONS.get(module, name) for name, module in doctor.PACKAGES.items()} == names
 
 
 def test_the_text_tells_the_same(capsys):
