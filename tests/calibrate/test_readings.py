@@ -56,6 +56,7 @@ def test_other_conventions_are_found_and_named(made, how, option):
     assert found.light == (option == "--light-factor")
 
 
+@pytest.mark.slow
 def test_the_eighteen_real_captures_are_not_doubted_as_they_are_but_with_other_conventions(data_folder):
     missed = []
     for folder in sorted((data_folder / "captures").iterdir()):

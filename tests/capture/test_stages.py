@@ -199,9 +199,9 @@ def test_of_photos_rectified_to_their_sheet_the_patch_is_cut_out(truth, tmp_path
     for photo, expected in zip(capture.photos.numpy(), cut, strict=True):
         assert np.abs(photo - expected).mean() < 0.01  # measured 0.002; a pixel aside 0.021
         assert np.abs(photo[:, 1:] - expected[:, :-1]).mean() > 0.01
-    still = [raw / f"still{i}.jpg" for i in range(3)]
+    still, same = [raw / f"still{i}.jpg" for i in range(3)], taken(ground(), LENS, truth["IMG_1.jpg"])
     for path in still:
-        stored(path, taken(ground(), LENS, truth["IMG_1.jpg"]))
+        stored(path, same)
     with pytest.raises(OnePlace, match="tripod"):
         make_capture([Photo.open(path) for path in still], 18.0)
 

@@ -91,7 +91,7 @@ def test_photos_that_show_everything_in_the_same_place_are_taken_for_rectified(t
 
 
 def test_a_mirrored_photo_is_named(plain, tmp_path):
-    for path in photos_in(plain):
+    for path in photos_in(plain)[:4]:
         image = Image.open(path)
         flip = path.name == "IMG_2.jpg"
         (image.transpose(Image.Transpose.FLIP_LEFT_RIGHT) if flip else image).save(

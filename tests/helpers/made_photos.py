@@ -26,6 +26,7 @@ def material(seed=0, side=1200):
     return np.clip(0.25 * np.array((1.3, 1.0, 0.7)) * np.exp(0.45 * out), 0.02, 0.9).astype(np.float32)
 
 
+@cache
 def ground(with_sheet=True, seed=0):
     """Albedo of what lies on the table, and whether it is material: rows from the top, and its side in cm."""
     side = SHEET.outer if with_sheet else 24.0
