@@ -31,7 +31,6 @@ from ..io.entry import entry
 from ..io.layout import Layout
 from ..kinds import check_fields
 from ..material.maps import SVBRDF
-from ..measure.metrics import photo_rmse
 from ..render.analytic import AnalyticRenderer
 from ..render.needs import Needs
 from ..views import NEAREST, Views
@@ -102,9 +101,6 @@ class RefinedViews:
     covariance: Tensor  # of each photo's change, N x 7 x 7
     common_flash: Tensor  # (x, y) of the part of the flash's change that all photos share
     common_covariance: Tensor  # its covariance, 2 x 2
-    # RMSE of each photo with the views given, in display values clipped to [0, 1], at 128 px at most
-    before: list[float]
-    after: list[float]  # the same with the refined views
     iterations: int  # steps tried
 
     @property
@@ -143,10 +139,10 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
         damping = damping / 10 if better else damping * 10
         here = problem.linear(here.u + step) if better else here
     change = problem.change(here.u)
-    found, covariance = moved(problem.given, change), torch.linalg.inv(here.matrix)
+    covariance = torch.linalg.inv(here.matrix)
     own, shared = problem.spread.reshape(len(views), len(UNKNOWNS), -1), problem.shared
-    return RefinedViews(found, change, own @ covariance @ own.mT, shared @ here.u,
-                        shared @ covariance @ shared.T, problem.rmse(views), problem.rmse(found), tried)
+    return RefinedViews(moved(problem.given, change), change, own @ covariance @ own.mT, shared @ here.u,
+                        shared @ covariance @ shared.T, tried)
 
 
 def moved(views: Views, change: Tensor) -> Views:
@@ -214,11 +210,6 @@ class Problem:
     def u_of(self, change: Tensor) -> Tensor:
         """The most probable u of changes N x 7."""
         return torch.linalg.pinv(self.spread) @ (change - self.expected).flatten()
-
-    def rmse(self, views: Views) -> list[float]:
-        """Error of each photo, as :func:`~mitsvbrdf.measure.metrics.photo_rmse` counts it."""
-        return photo_rmse(self.renderer.render(self.maps, views), self.photos, self.transfer,
-                          self.measured)[1]
 
     def residuals(self, radiance: Tensor) -> Tensor:
         """Display values minus the photos', N x R x R x 3; 0 where clipped ones are met, or masked."""

@@ -168,8 +168,8 @@ def _register(variant: str) -> None:
             self.origin = mi.Point3f(*(opaque(x) for x in pose.position))
             self.axes = [mi.Vector3f(*(opaque(x) for x in row)) for row in pose.rotation]
 
-        def sample_ray(self, time: Any, wavelength_sample: Any, position_sample: Any, aperture_sample: Any,
-                       active: Any = True) -> tuple[Any, Any]:
+        def sample_ray_differential(self, time: Any, wavelength_sample: Any, position_sample: Any,
+                                    aperture_sample: Any, active: Any = True) -> tuple[Any, Any]:
             x = (position_sample.x * self.columns - 0.5 - self.middle[0]) / self.focal
             y = (position_sample.y * self.rows - 0.5 + self.first - self.middle[1]) / self.focal
             bent = dr.sqrt(x * x + y * y)
@@ -180,16 +180,8 @@ def _register(variant: str) -> None:
                 straight = straight - error / (1 + r2 * (3 * self.k[0] + 5 * r2 * self.k[1]))
             scale = dr.select(bent > 0, straight / bent, 1)
             right, down, forward = self.axes
-            ray = dr.zeros(mi.Ray3f)
-            ray.o = self.origin
-            ray.d = dr.normalize(right * (x * scale) + down * (y * scale) + forward)
-            ray.time, ray.maxt = time, dr.largest(mi.Float)
-            return ray, mi.Color3f(1)
-
-        def sample_ray_differential(self, time: Any, wavelength_sample: Any, position_sample: Any,
-                                    aperture_sample: Any, active: Any = True) -> tuple[Any, Any]:
-            ray, weight = self.sample_ray(time, wavelength_sample, position_sample, aperture_sample, active)
-            return mi.RayDifferential3f(ray.o, ray.d, ray.time), weight
+            direction = dr.normalize(right * (x * scale) + down * (y * scale) + forward)
+            return mi.RayDifferential3f(self.origin, direction, time), mi.Color3f(1)
 
         def to_string(self) -> str:
             return "LensCamera[]"
