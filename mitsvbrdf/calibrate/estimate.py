@@ -67,9 +67,6 @@ class EstimatedViews:
 
     views: Views  # the N views, in the unit of the capture's
     deviation: Tensor  # standard deviations N x 4, by ESTIMATED
-    power_deviation: float  # of the logarithm of the light power of all photos
-    # how much faster than a point's the light falls off, as an exponent of the cosine; the views leave it out
-    beam: float
 
 
 def why_not(capture: Capture) -> str | None:
@@ -105,7 +102,7 @@ def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
     x, y, z = ESTIMATED.unpack(found.deviation.mean(dim=0)).camera.tolist()
     note = (f"views estimated from the photos alone: cameras about {height:.2f} patch sides away, to about "
             f"{z:.2f}, and sideways to {max(x, y):.2f}; the light power to a factor of "
-            f"{math.exp(found.power_deviation):.1f}")
+            f"{math.exp(POWER):.1f}")
     return replace(capture, views=found.views, notes=(*capture.notes, note)), found
 
 
@@ -120,16 +117,15 @@ def estimate_views(capture: Capture) -> EstimatedViews:
     start = np.zeros(problem.layout.size)
     problem.photos(start).place[:] = problem.mirror_points() / SIDEWAYS
     found = least_squares(problem.errors, start, max_nfev=40, ftol=1e-4, xtol=1e-4)
-    camera, exposure, shared = problem.places(found.x)
+    camera, exposure, _ = problem.places(found.x)
     covariance = np.linalg.pinv(found.jac.T @ found.jac)
     slope = problem.slopes(found.x)
     deviation = np.sqrt(np.einsum("npu,uv,npv->np", slope, covariance, slope))
-    power, power_deviation = problem.power(found.x)
-    size = capture.views.size
+    power, size = problem.power(found.x), capture.views.size
     places = torch.from_numpy(camera * size)
     intensity = torch.from_numpy(power * exposure[:, None] * size**2).repeat(1, 3)
     views = Views(places, places.clone(), intensity, size)
-    return EstimatedViews(views, torch.from_numpy(deviation), power_deviation, shared["beam"])
+    return EstimatedViews(views, torch.from_numpy(deviation))
 
 
 class Problem:
@@ -238,8 +234,8 @@ class Problem:
         ratio = math.sqrt((spread**2).mean() + 1e-6) / shared["height"]
         return np.concatenate((robust, u, [math.log(ratio / SPREAD[0]) / SPREAD[1]]))
 
-    def power(self, u: np.ndarray) -> tuple[float, float]:
-        """Radiant intensity (patch sides squared) that makes albedo and F0 usual, and its log deviation."""
+    def power(self, u: np.ndarray) -> float:
+        """Radiant intensity (patch sides squared) that makes albedo and F0 usual, to :data:`POWER`."""
         rho, _, _ = self.texel_fit(u)
         _, _, shared = self.places(u)
         votes = [(math.log(shared["level"] / F0[0]), F0[1]), (math.log(np.median(rho) / USUAL_ALBEDO[0]),
@@ -248,7 +244,7 @@ class Problem:
         white = math.exp(sum(value * sd**-2 for value, sd in votes) / weight)
         # radiance of a white texel below the flash
         white = max(white, float(np.quantile(rho, 0.99)) / WHITEST)
-        return math.pi * white * shared["height"] ** 2, POWER
+        return math.pi * white * shared["height"] ** 2
 
 
 def _radiance(capture: Capture, side: int) -> np.ndarray:

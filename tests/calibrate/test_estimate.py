@@ -94,7 +94,7 @@ def test_it_says_how_sure_it_is(glossy):
         # stated, 1.3 at worst.
         z = (found.views.camera - truth.camera) / found.deviation[:, :3]
         assert 0.1 < float(z.square().mean().sqrt()) < 1.5 and float(z.abs().max()) < 3.5
-        assert bool((found.deviation > 0).all()) and 0 < found.power_deviation < 0.5
+        assert bool((found.deviation > 0).all())
         # height is the unsure one
         assert float(found.deviation[:, 2].mean()) > 3 * float(found.deviation[:, 0].mean())
 

@@ -199,7 +199,7 @@ def _placed(lens: Lens, poses: dict[str, Pose], photos: dict[str, Photo],
                   key=lambda name: poses[name].rotation[2, 2]))
     poses = {name: turned(pose, angles[chosen]) for name, pose in poses.items()}
     outlines = {name: outline(lens, pose) for name, pose in poses.items()}
-    _, side, dropped = choose_patch(outlines, LEAST_PHOTOS, chosen if reference == "first" else None)
+    side, dropped = choose_patch(outlines, LEAST_PHOTOS, chosen if reference == "first" else None)
     if side <= 0:
         raise CaptureError("photos that all show the same part of a material",
                            f"no part that {len(poses) - len(dropped)} show", "take them with more overlap")

@@ -53,8 +53,8 @@ def outline(lens: Lens, pose: Pose) -> Array:
     return np.array(rows)
 
 
-def largest_square(outlines: Sequence[Array]) -> tuple[Array, float]:
-    """Centre (x, y) and side of the largest upright square in all outlines; a side below 0: there is none.
+def largest_square(outlines: Sequence[Array]) -> float:
+    """Side of the largest upright square in all outlines; below 0: there is none.
 
     A linear programme: a square of half side h is in a half plane where n . centre + h (|n_x| + |n_y|) <= b.
     """
@@ -64,10 +64,7 @@ def largest_square(outlines: Sequence[Array]) -> tuple[Array, float]:
     reach = np.abs(sides.normal).sum(axis=1)
     found = linprog(SQUARE.pack(half=-1.0), np.column_stack((sides.normal, reach)), sides.offset,
                     bounds=(None, None))
-    if not found.success:
-        return np.zeros(2), -1.0
-    square = SQUARE.unpack(found.x)
-    return square.centre, 2 * square.half
+    return 2 * SQUARE.unpack(found.x).half if found.success else -1.0
 
 
 def centred_square(outlines: Sequence[Array], side: float, below: Array) -> Array:
@@ -84,22 +81,22 @@ def centred_square(outlines: Sequence[Array], side: float, below: Array) -> Arra
 
 
 def choose_patch(outlines: dict[str, Array], least: int = 3,
-                 always: str | None = None) -> tuple[Array, float, list[str]]:
+                 always: str | None = None) -> tuple[float, list[str]]:
     """The largest square that all photos show, but for those that would cost too much of it.
 
-    So many photos are kept at least, and ``always``. Centre, side, and the names of rejected photos; a side
-    of 0 or below: too few photos show the same.
+    So many photos are kept at least, and ``always``. Its side, and the names of rejected photos; a side of 0
+    or below: too few photos show the same.
     """
     kept = dict(outlines)
     out: list[str] = []
     while True:
-        centre, side = largest_square(list(kept.values()))
+        side = largest_square(list(kept.values()))
         if len(kept) <= least:
-            return centre, side, out
-        without = {name: largest_square([o for n, o in kept.items() if n != name])[1] for name in kept
+            return side, out
+        without = {name: largest_square([o for n, o in kept.items() if n != name]) for name in kept
                    if name != always}
         worst = max(without, key=without.__getitem__)
         if side > 0 and without[worst] < GAIN * side:
-            return centre, side, out
+            return side, out
         out.append(worst)
         del kept[worst]
