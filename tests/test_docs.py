@@ -1,7 +1,6 @@
 """Commands in README and docs parse; the slow suite runs them in their order, shortened, on made photos."""
 
 import functools
-import json
 import re
 import shlex
 import shutil
@@ -14,7 +13,7 @@ from pathlib import Path
 import pytest
 from helpers import ROOT
 
-from mitsvbrdf import cli
+from mitsvbrdf import DirectConfig, cli, fit_svbrdf, make_renderer, read_capture
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.render.exclusive import using_mitsuba
@@ -227,8 +226,7 @@ def test_architecture_shows_the_law_and_files_that_are_there():
 
 
 def test_formats_page_names_every_field_of_fit_json(photos):
-    assert cli.main(["fit", "photos", "-o", "out", "--method", "direct", "--iterations", "1", "--renderer",
-                     "analytic"]) == 0
+    fit = fit_svbrdf(read_capture("photos"), make_renderer("analytic"), DirectConfig(iterations=1))
     page = (ROOT / "docs/formats.md").read_text()
-    for field in json.loads(Path("out/fit.json").read_text()):
+    for field in fit.record:
         assert f"`{field}`" in page, field

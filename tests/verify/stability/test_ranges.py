@@ -112,7 +112,7 @@ def scenes(draw):
 
 
 @given(scenes())
-@settings(max_examples=120, deadline=None, derandomize=True, database=None)
+@settings(max_examples=60, deadline=None, derandomize=True, database=None)
 def test_whatever_is_valid_comes_out_finite(scene):
     for name in ("analytic64", "analytic", "mitsuba"):
         found = render_and_gradients(renderer(name), *scene)
