@@ -5,7 +5,8 @@ import os
 import platform
 from pathlib import Path
 
-PACKAGES = ("mitsvbrdf", "mitsuba", "drjit", "torch", "numpy", "opencv-contrib-python-headless", "OpenEXR", "av")
+PACKAGES = ("mitsvbrdf", "mitsuba", "drjit", "torch", "numpy", "opencv-contrib-python-headless", "OpenEXR",
+            "av")
 
 
 def machine() -> dict[str, str | int | None]:
