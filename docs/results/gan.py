@@ -22,6 +22,7 @@ HERE = Path(__file__).parent
 MAPS = ["diffuse", "specular", "roughness", "normal", "mean", "novel_light"]
 HEADS = [*MAPS[:-1], "new light"]
 BEFORE, NOW, WITHOUT = "before feature matching", "adversarial loss", "no adversarial loss"
+SOLVED = "from solved maps"
 
 # An ingredient -> the settings of GanConfig that change it.
 VARIANTS = {
@@ -60,6 +61,23 @@ def known(record: dict) -> pd.DataFrame:
             ("`gan`, 256 px, 300 s", "256 px, 300 s", "gan")):
         rows[title] = means(of(record, measured, method=method))
     return pd.DataFrame.from_dict(rows, orient="index", columns=HEADS)
+
+
+def solved(record: dict) -> pd.DataFrame:
+    """``gan`` from solved maps beside the default: means, and how often a map changed, for better or worse."""
+    rows = {}
+    for kind, names in (("material", MAPS[:-2]), ("capture", ["held_out", "seen"])):
+        ours, default = ({r["name"]: r["errors"] for r in of(record, SOLVED, kind, method)}
+                         for method in ("gan", "hierarchical"))
+        for name in names:
+            pairs = [(ours[task][name], default[task][name]) for task in ours if name in ours[task]]
+            changes = [a - b for a, b in pairs]
+            rows[f"{kind}s: {name.replace('_', ' ')}"] = [
+                *(f"{sum(column) / len(pairs):.4f}" for column in zip(*pairs)),
+                f"{sum(change < -1e-5 for change in changes)} of {len(pairs)}",
+                f"{sum(change > 1e-5 for change in changes)} of {len(pairs)}", f"{max(changes):.4f}"]
+    return pd.DataFrame.from_dict(rows, orient="index", columns=[
+        "`gan`, mean", "`hierarchical`, mean", "better", "worse", "largest change"])
 
 
 def game(record: dict) -> pd.DataFrame:
@@ -219,7 +237,8 @@ def measure(record: dict) -> dict:
              [0, 1, 2]),
             ("ingredients", variants, ["metal-plating", "fake-022"], ["none"], 128, 30, [0]),
             ("256 px, 300 s", {"gan": full}, materials, None, 256, 300, [0]),
-            (BEFORE, {"hierarchical": HierarchicalConfig()}, materials, None, 128, 40, [0])):
+            (BEFORE, {"hierarchical": HierarchicalConfig()}, materials, None, 128, 40, [0]),
+            (SOLVED, {"gan": GanConfig(), "hierarchical": HierarchicalConfig()}, None, None, 128, 90, [0])):
         tasks = find_tasks(names, shots, data, side, (4, 7), None, renderer)
         records = run(methods, tasks, [budget], seeds, renderer, HERE / "gan.jsonl",
                       lambda text, share: print(f"{share:4.0%} {text}", flush=True))
