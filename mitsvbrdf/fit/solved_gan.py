@@ -10,6 +10,7 @@ answer with the change of those maps that helped; often, that is none.
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -37,7 +38,7 @@ from .method import Method
 from .task import FitTask
 
 BLOCKS = 16  # patches along a side, of each of which one photo is held out
-SHARES = (0.4, 0.2)  # of the run, at most, that solving with all photos and without the patches may take
+WITHOUT = 0.5  # of the time left, at most, that solving without the patches may take
 SURE = 3.0  # standard errors by which patches must be predicted better for a change to be kept
 BEAT = 20  # steps of the game from one judgement to the next
 VIEWS = "camera", "light", "intensity"
@@ -66,25 +67,26 @@ class SolvedGan(Method[GanConfig]):
         self.task, self.stage, self.began, self.steps = task, 0, 0.0, 0
         self.spared = spared(task.capture, task.config.seed)
         self.without = replace(task, capture=held_out(task.capture, self.spared), own_guess=None)
-        self.solvers = [self._solver(task, SHARES[0])]
+        longest = HierarchicalConfig().default_limit["budget"]
+        self.solvers = [self._solver(task, task.config.budget and min(task.config.budget, longest))]
         self.answer: tuple[SVBRDF, Views] | None = None  # of all photos
         self.game: DetailTraining | None = None
         self.kept: dict[str, Tensor] = {}  # the change that helped most, of the maps it helped
         self.gain = 0.0  # of squared errors of the patches
 
-    def _solver(self, task: FitTask[GanConfig], share: float) -> Hierarchical:
+    def _solver(self, task: FitTask[GanConfig], budget: float | None = None) -> Hierarchical:
         own = self.config
         config = HierarchicalConfig(bsdf=own.bsdf, guess=own.guess, seed=own.seed, fix=own.fix,
                                     grey_specular=own.grey_specular, flash_offset=own.flash_offset,
-                                    budget=own.budget and own.budget * share)
+                                    budget=budget)
         return Hierarchical(FitTask(task.capture, task.renderer, config, None, task.estimated))
 
     def step(self, progress: float) -> dict[str, float]:
         """A round of the solver, or a step of the game."""
         if self.stage < GAME:
-            share = (progress - self.began) / SHARES[self.stage] if self.config.budget else 0.0
+            share = self._share(progress)
             if not self.solvers[-1].done and share < 1:
-                return self.solvers[-1].step(max(share, 0.0))
+                return self.solvers[-1].step(0.0 if self.stage else share)
             self._next_stage(progress)
         if self.stage != GAME or self.game is None:
             return {}
@@ -95,6 +97,14 @@ class SolvedGan(Method[GanConfig]):
                 self._judge()
         return losses
 
+    def _share(self, progress: float) -> float:
+        """Of the time that the present solver has, what is over; 0 without a budget."""
+        if not self.config.budget:
+            return 0.0
+        if self.stage:
+            return (progress - self.began) / (WITHOUT * (1 - self.began))
+        return progress * self.config.budget / (self.solvers[0].config.budget or math.inf)
+
     def _next_stage(self, progress: float) -> None:
         solver = self.solvers[-1]
         self.began, answer = min(progress, 0.99), solver.estimate()
@@ -102,7 +112,9 @@ class SolvedGan(Method[GanConfig]):
             self.answer = answer
             self.stage = 1 if len(self.capture) >= FEWEST else ENDED
             if self.stage == 1:
-                self.solvers.append(self._solver(self.without, SHARES[1]))
+                self.solvers.append(self._solver(self.without))
+        elif not solver.done:
+            self.stage = ENDED  # an answer that is not settled would gain by any change
         else:
             with profiled("uncertainty"):
                 spread = deviations(*answer, solver.task, solver.scales.basis)[0]
@@ -172,11 +184,12 @@ class SolvedGan(Method[GanConfig]):
     def omitted(self) -> list[Omitted]:
         """What the solver omitted, and the maps that the game did not help."""
         why = "photos held out of it are predicted no better with it: the map stays as solved"
-        if self.stage == ENDED:
+        if len(self.capture) < FEWEST:
             return [*self.solvers[0].omitted, Omitted("the game", f"fewer than {FEWEST} photos: none can be "
                                                                   "held out of it; the maps stay as solved")]
         if not self.game:
-            return [*self.solvers[0].omitted, Omitted("the game", "the run ended before it began")]
+            return [*self.solvers[0].omitted, Omitted("the game", "no time was left for it, or the run was "
+                                                                  "stopped; the maps stay as solved")]
         return [*self.solvers[0].omitted, *(Omitted(f"the game's change of {name}", why)
                                             for name in self.game.bounded.bounds if name not in self.kept)]
 
@@ -204,7 +217,7 @@ class SolvedGan(Method[GanConfig]):
         self.began, self.gain = state["at"][2:].tolist()
         self.solvers = self.solvers[:1]
         if part(state, "solver1."):
-            self.solvers.append(self._solver(self.without, SHARES[1]))
+            self.solvers.append(self._solver(self.without))
         for number, solver in enumerate(self.solvers):
             solver.load_state(part(state, f"solver{number}."))
         self.answer = self._answer(part(state, "answer.")) if self.stage else None

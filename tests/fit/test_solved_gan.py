@@ -133,6 +133,20 @@ def test_of_few_photos_the_solved_maps_are_the_answer(photos):
     assert "fewer than 4 photos" in method.omitted[-1].why
 
 
+def test_maps_that_are_not_settled_without_the_patches_are_no_start_of_a_game(photos):
+    method = make_method(FitTask(photos, ANALYTIC, GanConfig(budget=10.0)))
+    method.answer, method.stage, method.began = method.solvers[0].estimate(), 1, 0.5
+    method.solvers.append(method.solvers[0])  # not done
+    method.step(0.76)
+    assert method.done and "no time was left" in method.omitted[-1].why
+
+
+def test_a_short_budget_is_first_spent_on_all_photos(photos):
+    for budget, limit in ((60.0, 60.0), (300.0, 120.0), (None, None)):
+        method = make_method(FitTask(photos, ANALYTIC, GanConfig(budget=budget)))
+        assert method.solvers[0].config.budget == limit
+
+
 def test_settings_of_the_other_game_begin_at_the_guess(photos):
     assert GanConfig().begins == "solved" and GanConfig(flash_offset=False).begins == "solved"
     assert GanConfig(width=8).begins == "guess" and GanConfig(preset="paper-one-stage").begins == "untrained"
