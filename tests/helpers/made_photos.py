@@ -47,30 +47,26 @@ def optics(lens):
     return rays(lens, pixels), lens.transmission(pixels)
 
 
-def length(vectors):
-    # many times quicker than numpy's norm of short rows
-    return np.sqrt(np.einsum("ki,ki->k", vectors, vectors))
-
-
 def taken(what, lens, pose, flash=True, seed=0):
     """What the phone stores, H x W x 3 linear radiance: flash or an even light, vignetting, a highlight on
     the material.
     """
     albedo, side = what
-    ray, arrives = optics(lens)
-    ray = ray @ pose.rotation
-    gaze = ray * (-pose.position[2] / ray[:, 2:])  # to the point of the plane that the pixel sees
-    at = pose.position + gaze
-    texels = ((at[:, :2] * (1, -1) / side + 0.5) * len(albedo) - 0.5).astype(np.float32)
-    seen = cv2.remap(albedo, texels.reshape(lens.size[1], lens.size[0], 2), None, cv2.INTER_LINEAR,
-                     borderMode=cv2.BORDER_CONSTANT, borderValue=(0.1, 0.1, 0.1, 0)).reshape(-1, 4)
-    light, gloss = np.full(len(at), 1.2), np.zeros(len(at))
+    (ray, arrives), shape = optics(lens), lens.size[::-1]
+    ray = pose.rotation.T @ ray.T  # 3 x K: whole rows are many times quicker than columns
+    gaze = ray * (-pose.position[2] / ray[2])  # to the point of the plane that the pixel sees
+    at = pose.position[:, None] + gaze
+    column, row = (((sign * x / side + 0.5) * len(albedo) - 0.5).astype(np.float32).reshape(shape)
+                   for sign, x in zip((1, -1), at))
+    seen = cv2.remap(albedo, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT,
+                     borderValue=(0.1, 0.1, 0.1, 0)).reshape(-1, 4)
+    light, gloss = np.full(len(seen), 1.2), np.zeros(len(seen))
     if flash:
-        to_flash = pose.flash(lens) - at
-        distance = length(to_flash)
-        light = POWER * to_flash[:, 2] / distance**3
-        half = to_flash / distance[:, None] - gaze / length(gaze)[:, None]
-        gloss = 0.3 * np.exp(-(half[:, 0] ** 2 + half[:, 1] ** 2) / half[:, 2] ** 2 / 0.006) * seen[:, 3]
+        to_flash = pose.flash(lens)[:, None] - at
+        square = (to_flash**2).sum(axis=0)
+        light = POWER * to_flash[2] / (square * np.sqrt(square))
+        half = to_flash / np.sqrt(square) - gaze / np.sqrt((gaze**2).sum(axis=0))
+        gloss = 0.3 * np.exp(-(half[0] ** 2 + half[1] ** 2) / half[2] ** 2 / 0.006) * seen[:, 3]
     out = (seen[:, :3] / math.pi + gloss[:, None]) * (light * arrives)[:, None]
     out = out.reshape(lens.size[1], lens.size[0], 3)
     return out + 0.002 * np.random.default_rng(seed).standard_normal(out.shape)
