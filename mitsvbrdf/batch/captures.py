@@ -87,7 +87,7 @@ def local_capture(source: str) -> Iterator[Path]:
         return
     with tempfile.TemporaryDirectory(prefix="mitsvbrdf-capture-") as folder:
         target = Path(folder) / name_of(source)
-        Store(source).fetch("", target)
+        Store(source).fetch(target)
         yield target
 
 

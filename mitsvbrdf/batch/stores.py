@@ -77,14 +77,14 @@ class Store:
         with self.reached():
             self.fs.put_file(str(file), self.path(name))
 
-    def fetch(self, name: str, folder: Path) -> None:
-        """Copy a folder of the store to this machine."""
-        for each in self.objects(name):
+    def fetch(self, folder: Path) -> None:
+        """Copy all that lies here to a folder of this machine."""
+        for each in self.objects():
             if not stays_inside(each) or "\\" in each:
                 raise OutputError("names inside of their folder", f"{each} in {self.address}", "rename it")
             (folder / each).parent.mkdir(parents=True, exist_ok=True)
             with self.reached():
-                self.fs.get_file(self.path(f"{name}/{each}".lstrip("/")), str(folder / each))
+                self.fs.get_file(self.path(each), str(folder / each))
 
     def listed(self, name: str = "") -> tuple[list[str], list[str]]:
         """The names right inside a folder, of files and of folders; none where it is missing."""

@@ -20,7 +20,7 @@ from .. import color
 from ..errors import CaptureError
 from ..io.decode import header, picture, upright
 from ..io.images import averaged, unmasked
-from ..io.json import load, read_json
+from ..io.json import error_text, load
 from ..views import Falloff, Views, default_views
 from .capture import LEAST_SIDE, Calibration, Capture, Converted, converted, notes_of
 from .photo import HEIC, PLAIN, files_of
@@ -57,7 +57,11 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
     """The capture of a ``capture.json``; without ``camera_pos`` its views are the default geometry.
     CaptureError names what is missing or wrong.
     """
-    stated = read_json(path, CaptureError)
+    try:
+        stated = load(path)
+    except (OSError, ValueError) as reason:
+        raise CaptureError("a valid JSON file", f"{path}: {error_text(reason)}",
+                           "mend it or export it again") from None
     uncalibrated = "camera_pos" not in stated
     for key in ("target_dir",) if uncalibrated else ("target_dir", "im_size", "camera_pos", "light_pow"):
         if key not in stated:

@@ -10,21 +10,11 @@ from typing import Any, TypedDict
 
 import msgspec
 
-from ..errors import MitsvbrdfError
 from .files import open_regular
 
 MOST_BYTES = 2**28
 LARGEST = 2**63  # of whole numbers; longer ones overflow tensors and floats
 NUMBER = (int, float)  # in a shape, see :func:`shape_error`
-
-
-def read_json(path: Path, error: type[MitsvbrdfError], expected: str = "a valid JSON file",
-              fix: str = "mend it or export it again", kind: type = dict) -> Any:
-    """:func:`load`, whose exceptions become an ``error`` with the file's name and the expected content."""
-    try:
-        return load(path, kind)
-    except (OSError, ValueError) as reason:
-        raise error(expected, f"{path}: {error_text(reason)}", fix) from None
 
 
 def load(path: Path, kind: type | tuple[type, ...] = dict, links: bool = True) -> Any:

@@ -76,11 +76,10 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False, keep: tuple[
                 _empty(staged, () if done else keep)
 
 
-def check_free(out: Path, overwrite: bool, resume: bool = False,
-               keep: tuple[str, ...] = (CHECKPOINT,)) -> None:
+def check_free(out: Path, overwrite: bool, resume: bool = False) -> None:
     """Raise OutputError now for what :func:`output_folder` would refuse; its arguments. Nothing is made."""
     out = Path(os.path.realpath(out))
-    _check_free(out, overwrite, resume, keep)
+    _check_free(out, overwrite, resume, (CHECKPOINT,))
     files.check_output(partial_folder(out) / MANIFEST)
     if files.in_use(out):
         raise files.taken(out)

@@ -6,10 +6,11 @@ import os
 import pytest
 
 from mitsvbrdf.capture import read_capture
+from mitsvbrdf.capture.calibrated import from_json
 from mitsvbrdf.errors import CaptureError, MitsvbrdfError
 from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.io import json as io_json
-from mitsvbrdf.io.json import NUMBER, load, parsed, read_json, shape_error
+from mitsvbrdf.io.json import NUMBER, load, parsed, shape_error
 from mitsvbrdf.material.encoding import read_material_json
 from mitsvbrdf.relight.frames import go_on
 
@@ -51,7 +52,7 @@ def test_a_file_that_cannot_be_read_is_one_error(tmp_path, monkeypatch):
              "large": "more than"}
     for name, word in words.items():
         with pytest.raises(CaptureError, match=f"expected a valid JSON file, got {tmp_path / name}: {word}"):
-            read_json(tmp_path / name, CaptureError)
+            from_json(tmp_path / name, "inverse-square", None)
     (tmp_path / "large").write_bytes(b"{}" + b" " * 98)
     assert load(tmp_path / "large") == {}
 
