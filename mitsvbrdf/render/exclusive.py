@@ -57,7 +57,8 @@ class Kept(Generic[T]):
         _alive.add(self)
 
     def __del__(self) -> None:
-        _forgotten.append(self.__dict__.pop("content", None))
+        if _forgotten is not None:  # at the end of Python it is, and everything was freed
+            _forgotten.append(self.__dict__.pop("content", None))
 
 
 @atexit.register

@@ -19,7 +19,7 @@ from mitsvbrdf.capture.lens import Lens, Pose
 from mitsvbrdf.fit.hierarchical import solver as solver_module
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
 from mitsvbrdf.io.signals import PROCESS
-from mitsvbrdf.render import make_renderer
+from mitsvbrdf.render import exclusive, make_renderer
 from mitsvbrdf.render.exclusive import using_mitsuba
 from mitsvbrdf.synth.traced import HandheldRenderer
 from mitsvbrdf.testing import random_material
@@ -287,3 +287,8 @@ def test_a_map_changed_in_place_before_the_backward_pass_is_refused():
         changed.detach().mul_(0.5)
         with pytest.raises(RuntimeError, match="modified by an inplace operation"):
             image.sum().backward()
+
+
+def test_what_is_forgotten_after_pythons_end_is_no_error(monkeypatch):
+    monkeypatch.setattr(exclusive, "_forgotten", None)  # as the end leaves it
+    exclusive.Kept(1).__del__()
