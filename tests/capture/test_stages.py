@@ -213,7 +213,8 @@ def test_of_masked_photos_the_rest_is_used(made, truth, tmp_path):
         at = (pose.position - ray * (pose.position[2] / ray[:, 2:]))[:, :2] / (0.64 * 18)
         shown = (np.hypot(*at.T) < 0.4 * (name != "IMG_2.jpg")) | (np.abs(at).max(axis=1) > 0.52)
         opened, alpha = Image.open(made[0] / name), np.uint8(255 * shown).reshape(LENS.size[::-1])
-        Image.fromarray(np.dstack((opened, alpha))).save(tmp_path / f"{name}.png", exif=opened.getexif())
+        Image.fromarray(np.dstack((opened, alpha))).save(tmp_path / f"{name}.png", exif=opened.getexif(),
+                                                              compress_level=1)
     found = make_capture([Photo.open(path) for path in photos_in(tmp_path)], 18.0, resolution=256)
     assert [(name, why[:7]) for name, why in found.rig.rejected.items()] == [("IMG_2.jpg.png", "masked:")]
     radius = np.hypot(*((np.mgrid[:256, :256] + 0.5) / 256 - 0.5))
