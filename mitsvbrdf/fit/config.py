@@ -138,6 +138,8 @@ class HierarchicalConfig(FitConfig):
     """The photos follow the model, as simulated ones do. Default: decided by the errors of a first fit."""
     multi_start: Switch = True
     """Explain exact photos at many roughnesses, and let texels share the lobes found."""
+    stationary: bool | None = None
+    """One photo shows a material that repeats itself: texels are of a few looks. Default: decided by a test."""
     calibrate: bool | None = None
     """Refine the camera and flash of every photo. Default: only for real photos; exact ones fit better
     without."""

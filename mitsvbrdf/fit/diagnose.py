@@ -71,13 +71,15 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
                   "light": views.light.tolist(), "intensity": views.intensity.tolist()},
         "flash_offset": {"x": x, "y": y, "unit": "patch sides"} if method.fits_offset else None,
         "calibration": calibration,
+        **({"repeats": task.repeats._asdict()} if task.repeats else {}),
         **({"profile": profile} if profile else {}),
         "versions": versions(), "machine": machine(), "trace": loop.trace}
     fit = Fit(record, known={"svbrdf": svbrdf, "views": views, "guess": task.guess, "photos": capture.photos,
                              "rerendered": images, "deviations": spreads, "config": config, "detail": None,
                              "deviations_with_look_alikes": alike,
                              "capture": capture.source.name if capture.source else ""})
-    return fit.but(warnings=(*capture.notes[len(notes):], *fit_warnings(fit, capture)))
+    said = (task.repeats.said(),) if task.repeats else ()
+    return fit.but(warnings=(*capture.notes[len(notes):], *said, *fit_warnings(fit, capture)))
 
 
 def _looked_at(svbrdf: SVBRDF, views: Views, task: FitTask, basis: Tensor | None

@@ -46,5 +46,9 @@ def make_method(task: FitTask[Config]) -> Method:
     Raises:
         ConfigError: they belong to none.
     """
+    if isinstance(task.config, HierarchicalConfig) and task.repeats and task.repeats.stationary:
+        from .one_photo import OnePhoto
+
+        return OnePhoto(task)  # type: ignore[arg-type]
     entry = METHODS[method_name(task.config)]
     return getattr(importlib.import_module(entry.module, __package__), entry.name)(task)

@@ -45,7 +45,7 @@ def omitted_by(task: FitTask, views: Views | None = None) -> list[Omitted]:
 
 def known_before(task: FitTask) -> list[Omitted]:
     """What a fit omits whatever its photos show."""
-    if not isinstance(task.config, HierarchicalConfig):
+    if not isinstance(task.config, HierarchicalConfig) or task.repeats and task.repeats.stationary:
         return omitted_by(task)
     from .hierarchical.omitted import omitted_stages
 
@@ -54,7 +54,7 @@ def known_before(task: FitTask) -> list[Omitted]:
 
 def decided_later(task: FitTask) -> list[Omitted]:
     """What a fit decides while it runs; ``why`` says when it omits it."""
-    if not isinstance(task.config, HierarchicalConfig):
+    if not isinstance(task.config, HierarchicalConfig) or task.repeats and task.repeats.stationary:
         return []
     from .hierarchical import omitted
 

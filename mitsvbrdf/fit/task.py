@@ -18,6 +18,7 @@ from ..render import Renderer
 from . import losses
 from .config import FitConfig
 from .fixed_maps import fixed_maps
+from .repeats import Repeats, repeats
 
 Config = TypeVar("Config", bound=FitConfig)
 Refined = Literal["never", "unless exact", "always"]
@@ -61,6 +62,19 @@ class FitTask(Generic[Config]):
     def unused(self) -> dict[str, str]:
         """The method's losses that are not computed, and why."""
         return losses.unused(self.config.weights, self.config.bsdf, self.fixed)
+
+    @cached_property
+    def repeats(self) -> Repeats | None:
+        """Whether one photo shows a material that repeats itself; None where that is not asked.
+
+        Only `hierarchical` asks, where all maps of the field are fitted to a whole photo.
+        """
+        config = self.config
+        whole = len(self.capture) == 1 and self.capture.measured is None and not config.fix
+        if not whole or config.bsdf != "roughconductor" or config.grey_specular or not hasattr(config,
+                                                                                               "stationary"):
+            return None
+        return repeats(self.capture, config.stationary)
 
     @cached_property
     def views_known(self) -> bool:

@@ -1,0 +1,190 @@
+"""Look classes: what the texels of a material that repeats itself are, by one photo of it.
+
+A stationary material has the same distribution of texels at each place (Aittala et al. 2015, 2016; Zhao et
+al. 2020). The flash lights each place under another half angle, so all pixels together show the distribution
+under all half angles of the photo. It is a mixture of a few classes. A class has one specular colour,
+diffuse colours and roughnesses around a mean, and normals around the flat one. The classes are those by which
+the pixels are likeliest, each pixel averaged over what it may be (marginal likelihood). A texel is then its
+mean over classes, normals, roughnesses and colours, given its pixel (empirical Bayes; Robbins 1956).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .. import color
+from ..capture import Capture
+from ..color import CLIPPED
+from ..io.layout import Layout
+from ..material.maps import SVBRDF
+from ..views import Views, texel_positions
+from .hierarchical.lobes import KINDS
+
+CLASSES = 5  # those that the photo does not need share their look with others
+NOISE = 0.01  # of display values: 8 bits, and what so few classes lack
+TAIL = 0.15  # by what slopes of normals have longer tails than normal numbers, a squared deviation
+MODEL = 0.03  # share of a lobe that its model lacks
+PARTS = Layout(diffuse=(CLASSES, 3), lightness=(CLASSES,), tint=(CLASSES,), specular=(CLASSES, 3),
+               roughness=(CLASSES,), worn=(CLASSES,), relief=(CLASSES,), share=(CLASSES,), place=(2,),
+               power=())
+RANGES = {"lightness": (0.02, 1.0), "tint": (0.004, 0.2), "worn": (0.02, 0.6), "relief": (0.005, 1.0)}
+BEGUN = {"lightness": 0.15, "tint": 0.02, "worn": 0.1, "relief": 0.1}
+# Beforehand: deviations of roughness from the mean of all classes and of channels of specular from their
+# mean; logs of a relief, and its deviation; diffuse of metals; place of the camera in sides and log of power.
+ROUGHNESS, TINT, RELIEF, METAL, PLACE, POWER = 0.15, 0.05, (-2.0, 1.0), 0.1, 0.15, 0.7
+BRIGHT = 1e-4  # least of linear colours
+
+
+class Pixels(NamedTuple):
+    """M pixels of a photo.
+
+    Args:
+        at: their texels' places on the patch, M x 2.
+        shown: linear radiance, M x 3.
+        noise: its standard deviation, M x 1.
+        clipped: channels that only bound the radiance from below, M x 3.
+    """
+
+    at: Tensor
+    shown: Tensor
+    noise: Tensor
+    clipped: Tensor
+
+    @staticmethod
+    def of(capture: Capture) -> Pixels:
+        """All pixels of the first photo."""
+        photo = capture.photos[0].flatten(0, 1)
+        grey = photo.mean(dim=1, keepdim=True).clamp(0.02, 1 - NOISE)
+        steep = (color.decode(grey + NOISE, capture.transfer) - color.decode(grey - NOISE, capture.transfer)) / 2
+        return Pixels(texel_positions(capture.resolution)[..., :2].flatten(0, 1).float(),
+                      capture.linear[0].flatten(0, 1), steep, photo >= CLIPPED)
+
+    def pick(self, index: Tensor) -> Pixels:
+        """Some of them."""
+        return Pixels(*(part[index] for part in self))
+
+
+class Posterior(NamedTuple):
+    """Log of how likely classes and nodes are with pixels, M x K x J, and what texels then are.
+
+    Args:
+        likely: M x K x J.
+        slopes: of the normals, M x K x J x 2.
+        roughness: M x K x J.
+        diffuse: mean of the diffuse colour, linear, M x K x J x 3.
+    """
+
+    likely: Tensor
+    slopes: Tensor
+    roughness: Tensor
+    diffuse: Tensor
+
+
+class LookClasses:
+    """K look classes: their numbers, each in its range.
+
+    ``lightness`` is the deviation of diffuse colours along their mean over it, ``tint`` that of each channel
+    in linear^(1/2.2), ``worn`` that of the log of roughness, ``relief`` that of a normal's slope.
+
+    Args:
+        numbers: of :data:`PARTS`, without bounds.
+        views: the stated view; place and power are changes of it, 0 where it is held.
+        held: whether the view is held.
+    """
+
+    def __init__(self, numbers: Tensor, views: Views, held: bool) -> None:
+        part = PARTS.unpack(numbers)
+        self.diffuse, self.specular = (color.decode(torch.sigmoid(getattr(part, name))) for name in ("diffuse", "specular"))
+        self.roughness = 0.05 + 0.95 * torch.sigmoid(part.roughness)
+        for name, (low, high) in RANGES.items():
+            setattr(self, name, getattr(part, name).exp().clamp(low, high))
+        self.share = torch.log_softmax(part.share, dim=-1)
+        self.place, self.power = (torch.zeros(2), torch.zeros(())) if held else (part.place, part.power)
+        self.views = views.in_patch_sides().to(torch.float32)
+
+    @staticmethod
+    def start(looks: Tensor, roughness: float, f0: float) -> Tensor:
+        """Numbers of classes of these diffuse colours (linear^(1/2.2), K x 3), all with one lobe."""
+        return torch.from_numpy(PARTS.pack(
+            diffuse=torch.logit(looks.clamp(0.02, 0.97)).numpy(), specular=math.log(
+                (level := f0 ** (1 / 2.2)) / (1 - level)), roughness=math.log((roughness - 0.05) / (1 - roughness)),
+            **{name: math.log(value) for name, value in BEGUN.items()})).float()
+
+    def lit(self, at: Tensor) -> tuple[Tensor, Tensor]:
+        """Slopes of half vectors, M x 2, and radiance of a white texel that faces these, M x 3."""
+        moved = torch.cat((self.place, torch.zeros(1)))
+        texel = torch.cat((at, torch.zeros_like(at[:, :1])), dim=1)
+        light, camera = (place[0] + moved - texel for place in (self.views.light, self.views.camera))
+        reach = light.square().sum(dim=1, keepdim=True) if self.views.falloff == "inverse-square" else (
+            self.views.light.square().sum())
+        half = F.normalize(F.normalize(light, dim=1) + F.normalize(camera, dim=1), dim=1)
+        white = self.views.intensity * self.power.exp() * F.normalize(light, dim=1)[:, 2:] / reach
+        return half[:, :2] / half[:, 2:], white / half[:, 2:] / math.pi
+
+    def posterior(self, pixels: Pixels, nodes: Tensor) -> Posterior:
+        """What M pixels may be.
+
+        Args:
+            pixels: M.
+            nodes: standard normal numbers of slopes and log roughness, M x J x 3.
+        """
+        q, white = self.lit(pixels.at)
+        q, noise = q[:, None, None], (pixels.noise / white)[:, None, None]
+        tail = 1 + TAIL * nodes[..., :2].square().sum(dim=-1, keepdim=True)
+        slopes = (nodes[..., :2] * tail)[:, None] * self.relief[None, :, None, None]
+        roughness = (self.roughness[:, None] * (nodes[:, None, :, 2] * self.worn[:, None]).exp()).clamp(0.05, 1)
+        length = (1 + slopes.square().sum(-1)) * (1 + q.square().sum(-1))
+        cosine = ((1 + (slopes * q).sum(-1)) / length.sqrt()).clamp_min(1e-3)
+        sine2 = ((slopes - q).square().sum(-1)
+                 + (slopes[..., 0] * q[..., 1] - slopes[..., 1] * q[..., 0]) ** 2) / length
+        alpha2 = roughness**4
+        lobe = (alpha2 * cosine / (alpha2 * cosine**2 + sine2) ** 2
+                / (cosine + (alpha2 + (1 - alpha2) * cosine**2).sqrt()) ** 2)[..., None]
+        cosine, mean = cosine[..., None], self.diffuse[:, None]
+        glossy = lobe * self.specular[:, None]
+        off = (pixels.shown / white)[:, None, None] - cosine * mean - glossy
+        off = torch.where(pixels.clipped[:, None, None] & (off < 0), 0.0, off)
+        tint = (2.2 * self.tint[:, None, None] * mean.clamp_min(BRIGHT) ** (1.2 / 2.2)) ** 2
+        own = cosine**2 * tint + noise**2 + (MODEL * glossy) ** 2
+        along = cosine * self.lightness[:, None, None] * mean
+        pull, worth = (along * off / own).sum(-1), 1 + (along**2 / own).sum(-1)
+        chi2 = (off**2 / own).sum(-1) - pull**2 / worth
+        likely = -(chi2 + own.log().sum(-1) + worth.log()) / 2 + self.share[:, None] - math.log(nodes.shape[1])
+        left = off - along * (pull / worth)[..., None]
+        gain = (self.lightness[:, None, None] * mean) * (pull / worth)[..., None] + cosine * tint * left / own
+        return Posterior(likely, slopes, roughness, (mean + gain).clamp(0, 1))
+
+    def prior(self) -> Tensor:
+        """Log of how likely the numbers are beforehand."""
+        encoded, dark = color.encode(self.specular.clamp_min(BRIGHT)), color.encode(self.diffuse.clamp_min(BRIGHT))
+        level, black = encoded.mean(dim=1), -(dark.mean(dim=1) / METAL) ** 2 / 2 - math.log(METAL)
+        kinds = [math.log(share) - ((level - mean) / spread) ** 2 / 2 - math.log(spread) + black * (mean > 0.7)
+                 for mean, spread, _, share in KINDS]
+        apart = (self.roughness - (self.share.exp() * self.roughness).sum()) / ROUGHNESS
+        rough = (self.relief.log() - RELIEF[0]) / RELIEF[1]
+        each = (torch.stack(kinds).logsumexp(0) - ((encoded - level[:, None]) / TINT).square().sum(dim=1) / 2
+                - apart**2 / 2 - rough**2 / 2)
+        return each.sum() - (self.place / PLACE).square().sum() / 2 - (self.power / POWER) ** 2 / 2
+
+    def texels(self, pixels: Pixels, nodes: Tensor) -> Tensor:
+        """Means of texels: diffuse and specular as linear^(1/2.2), roughness, unit normal; M x 10."""
+        found = self.posterior(pixels, nodes)
+        weight = torch.softmax(found.likely.flatten(1), dim=1).reshape(found.likely.shape)
+        normal = F.normalize(F.pad(found.slopes, (0, 1), value=1.0), dim=-1)
+        each = weight[..., None]
+        return torch.cat(((each * color.encode(found.diffuse)).sum((1, 2)),
+                          weight.sum(dim=2) @ color.encode(self.specular),
+                          (weight * found.roughness).sum((1, 2))[:, None], (each * normal).sum((1, 2))), dim=1)
+
+
+def material(texels: Tensor, side: int) -> SVBRDF:
+    """The material of means of texels, M x 10."""
+    planes = texels.reshape(side, side, -1)
+    return SVBRDF("roughconductor", {
+        "diffuse": color.decode(planes[..., :3]), "specular": color.decode(planes[..., 3:6]),
+        "roughness": planes[..., 6:7].contiguous(), "normal": F.normalize(planes[..., 7:], dim=-1)})

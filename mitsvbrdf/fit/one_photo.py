@@ -1,0 +1,149 @@
+"""The fit of one photo of a material that repeats itself, by look classes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import torch
+import torch.nn.functional as F
+from torch import Tensor
+
+from .. import color
+from ..io.profile import profiled
+from ..material.maps import SVBRDF
+from ..views import Views
+from .checkpoint import load_optimizer_state, optimizer_state
+from .config import HierarchicalConfig
+from .hierarchical.sharing import basis_materials
+from .look_classes import CLASSES, LookClasses, Pixels, material
+from .method import Method, cosine
+from .start import robust_start
+from .task import FitTask
+
+STARTS = ((0.2, 0.04), (0.4, 0.04), (0.7, 0.04), (0.25, 0.3), (0.25, 0.7), (0.45, 0.5))  # roughness, F0
+TRIED, STEPS, ITERATIONS = 50, 160, 10  # descents of a start and of the best one, and those of a step
+FEW, MANY = 512, 2048  # pixels of a descent
+NODES, MORE, MOST = 16, 24, 64  # what a pixel is averaged over: in descents of all, of the best, in the end
+RATES = 0.06, 0.03  # of Adam for all starts and for the best one
+PIXELS = 64.0  # what is known beforehand of a class counts as so many of the photo's pixels
+UNLIKELIEST = -60.0  # log likelihood of a pixel that no class explains, at least
+CHUNK = 2048  # pixels at once
+
+
+def nodes(pixels: int, count: int, seed: int) -> Tensor:
+    """Normal numbers that fill their space evenly, M x J x 3; each pixel's are turned by its own angle."""
+    even = torch.quasirandom.SobolEngine(3, scramble=True, seed=seed).draw(count).clamp(1e-4, 1 - 1e-4)
+    x, y, z = torch.special.ndtri(even).T
+    turn = (torch.arange(pixels) * math.pi * (3 - math.sqrt(5)))[:, None]
+    return torch.stack((x * turn.cos() - y * turn.sin(), x * turn.sin() + y * turn.cos(),
+                        z.expand(pixels, -1)), dim=-1)
+
+
+class OnePhoto(Method[HierarchicalConfig]):
+    """Descends to the likeliest look classes: from each start, then from the best one.
+
+    A view that is not stated has its place and light power among the unknowns.
+
+    Args:
+        task: one photo.
+    """
+
+    measured_every = 10**6  # steps: texels are found once, at the end
+    latest_is_best = True
+
+    def __init__(self, task: FitTask[HierarchicalConfig]) -> None:
+        super().__init__(task)
+        self.held, self.pixels = task.capture.calibrated or task.config.holds_views, Pixels.of(task.capture)
+        self.begun = robust_start(task.capture, task.guess, "roughconductor", task.fixed)
+        self.starts = self._starts()
+        self.done_steps, self.peak, self.best_cost = 0, RATES[1], math.inf
+        self._descend_from(self.starts[0])
+        self.best = self.numbers.detach().clone()
+
+    def _starts(self) -> list[Tensor]:
+        """Numbers of classes that look as pixels do away from the highlight, with each lobe."""
+        flat = LookClasses.start(torch.full((CLASSES, 3), 0.5), *STARTS[0])
+        half, white = LookClasses(flat, self.views, True).lit(self.pixels.at)
+        aside = half.norm(dim=1) > half.norm(dim=1).median()
+        looks = color.encode((self.pixels.shown / white).clamp(0, 1))[aside]
+        found = basis_materials(F.pad(looks, (0, 2)).contiguous(), CLASSES, self.config.seed)[:, :3]
+        found = torch.cat((found, found[-1:].expand(CLASSES - len(found), -1)))
+        return [LookClasses.start(found, *lobe) for lobe in STARTS]
+
+    def _descend_from(self, numbers: Tensor) -> None:
+        self.numbers = numbers.clone().requires_grad_()
+        self.optimizer = torch.optim.Adam([self.numbers], betas=(0.9, 0.99))
+
+    @property
+    def classes(self) -> LookClasses:
+        """As they are now."""
+        return LookClasses(self.numbers.detach(), self.views, self.held)
+
+    @property
+    def done(self) -> bool:
+        """Whether the last descent has ended."""
+        return self.done_steps >= len(STARTS) + STEPS // ITERATIONS
+
+    def step(self, progress: float) -> dict[str, float]:
+        """All descents from a start, or the next ones from the best."""
+        last = self.done_steps - len(STARTS)
+        with profiled("solver"):
+            if last < 0:
+                self._descend_from(self.starts[self.done_steps])
+                cost = self._descents(TRIED, 0, TRIED, RATES[0], FEW, NODES)
+                if cost < self.best_cost:
+                    self.best, self.best_cost = self.numbers.detach().clone(), cost
+                if last == -1:
+                    self._descend_from(self.best)
+            else:
+                cost = self._descents(ITERATIONS, last * ITERATIONS, STEPS, self.peak, MANY, MORE)
+        self.done_steps += 1
+        return {"cost": cost}
+
+    def _descents(self, count: int, first: int, of: int, rate: float, pixels: int, many: int) -> float:
+        """The mean cost of a pixel over the last descents: -log of its marginal likelihood."""
+        total, costs = len(self.pixels.at), []
+        for k in range(first, first + count):
+            random = torch.Generator().manual_seed(self.config.seed * 1000 + k)
+            some = self.pixels.pick(torch.randint(total, (pixels,), generator=random))
+            classes = LookClasses(self.numbers, self.views, self.held)
+            likely = classes.posterior(some, nodes(pixels, many, k)).likely.flatten(1).logsumexp(dim=1)
+            cost = -likely.clamp_min(UNLIKELIEST).mean() - classes.prior() * PIXELS / total
+            self.optimizer.param_groups[0]["lr"] = rate * cosine(k / of, 0.05)
+            self.optimizer.zero_grad()
+            cost.backward()
+            if not torch.isfinite(self.numbers.grad).all():
+                return math.nan
+            self.optimizer.step()
+            costs.append(float(cost.detach()))
+        return sum(costs[-10:]) / len(costs[-10:])
+
+    def cut_step(self) -> None:
+        """Halve the step size."""
+        self.peak /= 2
+
+    def estimate(self) -> tuple[SVBRDF, Views]:
+        """The texels by the present classes; before all starts were tried, the robust start."""
+        if self.done_steps < len(STARTS):
+            return self.begun, self.views
+        classes, parts = self.classes, []
+        with torch.no_grad():
+            for some in torch.arange(len(self.pixels.at)).split(CHUNK):
+                parts.append(classes.texels(self.pixels.pick(some), nodes(len(some), MOST, self.config.seed)))
+        views, moved = self.views, F.pad(classes.place, (0, 1)).double() * self.views.size
+        return material(torch.cat(parts), self.capture.resolution), replace(
+            views.carried(moved), intensity=views.intensity * float(classes.power.exp()))
+
+    def state(self) -> dict[str, Tensor]:
+        """The numbers, those of the best start, Adam's averages, and how far it is."""
+        return {"numbers": self.numbers.detach().clone(), "best": self.best.clone(),
+                "done": torch.tensor(self.done_steps), **optimizer_state("adam", self.optimizer),
+                "rates": torch.tensor([self.peak, min(self.best_cost, 1e30)], dtype=torch.float64)}
+
+    def load_state(self, state: dict[str, Tensor]) -> None:
+        """Go on from a saved state."""
+        self._descend_from(state["numbers"])
+        load_optimizer_state("adam", self.optimizer, state)
+        self.best, self.done_steps = state["best"].clone(), int(state["done"])
+        self.peak, self.best_cost = state["rates"].tolist()

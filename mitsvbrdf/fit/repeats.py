@@ -1,0 +1,63 @@
+"""Whether one photo is that of a material that repeats itself."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import torch
+import torch.nn.functional as F
+
+from ..capture import Capture
+from ..views import half_angles
+
+# The test: rings of equal half angle, and blocks of the photo a side; how much of the variance of ranks lies
+# between blocks, and by how much of their lightness blocks differ, where the pattern is as large as they are.
+RINGS, BLOCKS, BETWEEN, CONTRAST = 32, 4, 0.25, 0.05
+
+
+class Repeats(NamedTuple):
+    """Whether one photo counts as one of a material that repeats itself.
+
+    Args:
+        stationary: whether it does.
+        between: how much of the variance of its ranks lies between sixteenths of the photo, 0 to 1.
+        contrast: by how much of their lightness these differ.
+        asked: whether the user says so, and not the photo.
+    """
+
+    stationary: bool
+    between: float
+    contrast: float
+    asked: bool
+
+    def said(self) -> str:
+        """What is said of it."""
+        found = (f"{self.between:.0%} of how its lightness varies lies between sixteenths of the photo (more "
+                 f"than {BETWEEN:.0%} is a pattern that does not)")
+        if self.stationary:
+            return ("one photo, taken for that of a material that repeats itself: "
+                    + ("as asked for" if self.asked else found)
+                    + "; specular, roughness and normals are those of its look classes, hardly any texel's own")
+        return ("one photo, not taken for that of a material that repeats itself: "
+                + ("as asked for" if self.asked else found))
+
+
+def repeats(capture: Capture, asked: bool | None = None) -> Repeats:
+    """Whether a photo counts as one of a material that repeats itself.
+
+    Of a flat patch, all pixels of a ring of equal half angle have the same light and the same lobe, so their
+    ranks by lightness are the material's. Of a stationary material they are alike in all blocks of the photo.
+
+    Args:
+        capture: one photo with its view.
+        asked: what the user says; None leaves it to the photo.
+    """
+    light, side = capture.linear[0].mean(dim=-1).flatten(), capture.resolution
+    rank, beside = torch.empty_like(light), torch.empty_like(light)
+    for ring in half_angles(capture.views, side)[0].flatten().argsort().tensor_split(RINGS):
+        rank[ring[light[ring].argsort()]] = (torch.arange(len(ring)) + 0.5) / len(ring)
+        beside[ring] = light[ring] / light[ring].median().clamp_min(1e-6) - 1
+    share, differ = (F.adaptive_avg_pool2d(plane.reshape(1, side, side), BLOCKS) for plane in (rank, beside))
+    between, contrast = 12 * float((share - 0.5).square().mean()), float(differ.std())
+    found = between <= BETWEEN or contrast <= CONTRAST
+    return Repeats(found if asked is None else asked, between, contrast, asked is not None)
