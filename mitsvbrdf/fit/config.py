@@ -139,7 +139,7 @@ class HierarchicalConfig(FitConfig):
     multi_start: Switch = True
     """Explain exact photos at many roughnesses, and let texels share the lobes found."""
     stationary: bool | None = None
-    """One photo shows a material that repeats itself: texels are of a few looks. Default: decided by a test."""
+    """One photo shows a material that repeats itself, of a few looks. Default: decided by a test."""
     calibrate: bool | None = None
     """Refine the camera and flash of every photo. Default: only for real photos; exact ones fit better
     without."""

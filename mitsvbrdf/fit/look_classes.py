@@ -37,7 +37,8 @@ BEGUN = {"lightness": 0.15, "tint": 0.02, "worn": 0.1, "relief": 0.1}
 # Beforehand: deviations of roughness from the mean of all classes and of channels of specular from their
 # mean; logs of a relief, and its deviation; diffuse of metals; place of the camera in sides and log of power.
 ROUGHNESS, TINT, RELIEF, METAL, PLACE, POWER = 0.15, 0.05, (-2.0, 1.0), 0.1, 0.15, 0.7
-BRIGHT = 1e-4  # least of linear colours
+BRIGHT, DARK = 1e-4, 1e-5  # least of linear colours, of classes and of texels
+RINGS, EVEN = 8, 0.02  # of equal half angle whose texels are alike; deviation of texels that nothing shows
 
 
 class Pixels(NamedTuple):
@@ -60,9 +61,9 @@ class Pixels(NamedTuple):
         """All pixels of the first photo."""
         photo = capture.photos[0].flatten(0, 1)
         grey = photo.mean(dim=1, keepdim=True).clamp(0.02, 1 - NOISE)
-        steep = (color.decode(grey + NOISE, capture.transfer) - color.decode(grey - NOISE, capture.transfer)) / 2
+        above, below = (color.decode(grey + by, capture.transfer) for by in (NOISE, -NOISE))
         return Pixels(texel_positions(capture.resolution)[..., :2].flatten(0, 1).float(),
-                      capture.linear[0].flatten(0, 1), steep, photo >= CLIPPED)
+                      capture.linear[0].flatten(0, 1), (above - below) / 2, photo >= CLIPPED)
 
     def pick(self, index: Tensor) -> Pixels:
         """Some of them."""
@@ -99,20 +100,23 @@ class LookClasses:
 
     def __init__(self, numbers: Tensor, views: Views, held: bool) -> None:
         part = PARTS.unpack(numbers)
-        self.diffuse, self.specular = (color.decode(torch.sigmoid(getattr(part, name))) for name in ("diffuse", "specular"))
+        self.diffuse, self.specular = (color.decode(torch.sigmoid(value)) for value in (part.diffuse,
+                                                                                      part.specular))
         self.roughness = 0.05 + 0.95 * torch.sigmoid(part.roughness)
-        for name, (low, high) in RANGES.items():
-            setattr(self, name, getattr(part, name).exp().clamp(low, high))
+        self.lightness, self.tint, self.worn, self.relief = (
+            getattr(part, name).exp().clamp(low, high) for name, (low, high) in RANGES.items())
         self.share = torch.log_softmax(part.share, dim=-1)
-        self.place, self.power = (torch.zeros(2), torch.zeros(())) if held else (part.place, part.power)
+        self.place: Tensor = torch.zeros(2) if held else part.place
+        self.power: Tensor = torch.zeros(()) if held else part.power
         self.views = views.in_patch_sides().to(torch.float32)
 
     @staticmethod
     def start(looks: Tensor, roughness: float, f0: float) -> Tensor:
         """Numbers of classes of these diffuse colours (linear^(1/2.2), K x 3), all with one lobe."""
+        level, width = f0 ** (1 / 2.2), (roughness - 0.05) / 0.95
         return torch.from_numpy(PARTS.pack(
-            diffuse=torch.logit(looks.clamp(0.02, 0.97)).numpy(), specular=math.log(
-                (level := f0 ** (1 / 2.2)) / (1 - level)), roughness=math.log((roughness - 0.05) / (1 - roughness)),
+            diffuse=torch.logit(looks.clamp(0.02, 0.97)).numpy(), specular=math.log(level / (1 - level)),
+            roughness=math.log(width / (1 - width)),
             **{name: math.log(value) for name, value in BEGUN.items()})).float()
 
     def lit(self, at: Tensor) -> tuple[Tensor, Tensor]:
@@ -137,7 +141,8 @@ class LookClasses:
         q, noise = q[:, None, None], (pixels.noise / white)[:, None, None]
         tail = 1 + TAIL * nodes[..., :2].square().sum(dim=-1, keepdim=True)
         slopes = (nodes[..., :2] * tail)[:, None] * self.relief[None, :, None, None]
-        roughness = (self.roughness[:, None] * (nodes[:, None, :, 2] * self.worn[:, None]).exp()).clamp(0.05, 1)
+        worn = (nodes[:, None, :, 2] * self.worn[:, None]).exp()
+        roughness = (self.roughness[:, None] * worn).clamp(0.05, 1)
         length = (1 + slopes.square().sum(-1)) * (1 + q.square().sum(-1))
         cosine = ((1 + (slopes * q).sum(-1)) / length.sqrt()).clamp_min(1e-3)
         sine2 = ((slopes - q).square().sum(-1)
@@ -154,16 +159,16 @@ class LookClasses:
         along = cosine * self.lightness[:, None, None] * mean
         pull, worth = (along * off / own).sum(-1), 1 + (along**2 / own).sum(-1)
         chi2 = (off**2 / own).sum(-1) - pull**2 / worth
-        likely = -(chi2 + own.log().sum(-1) + worth.log()) / 2 + self.share[:, None] - math.log(nodes.shape[1])
+        likely = -(chi2 + own.log().sum(-1) + worth.log()) / 2 + self.share[:, None]
         left = off - along * (pull / worth)[..., None]
-        gain = (self.lightness[:, None, None] * mean) * (pull / worth)[..., None] + cosine * tint * left / own
-        return Posterior(likely, slopes, roughness, (mean + gain).clamp(0, 1))
+        gain = self.lightness[:, None, None] * mean * (pull / worth)[..., None] + cosine * tint * left / own
+        return Posterior(likely - math.log(nodes.shape[1]), slopes, roughness, (mean + gain).clamp(0, 1))
 
     def prior(self) -> Tensor:
         """Log of how likely the numbers are beforehand."""
-        encoded, dark = color.encode(self.specular.clamp_min(BRIGHT)), color.encode(self.diffuse.clamp_min(BRIGHT))
+        encoded, dark = (color.encode(value.clamp_min(BRIGHT)) for value in (self.specular, self.diffuse))
         level, black = encoded.mean(dim=1), -(dark.mean(dim=1) / METAL) ** 2 / 2 - math.log(METAL)
-        kinds = [math.log(share) - ((level - mean) / spread) ** 2 / 2 - math.log(spread) + black * (mean > 0.7)
+        kinds = [math.log(share / spread) - ((level - mean) / spread) ** 2 / 2 + black * (mean > 0.7)
                  for mean, spread, _, share in KINDS]
         apart = (self.roughness - (self.share.exp() * self.roughness).sum()) / ROUGHNESS
         rough = (self.relief.log() - RELIEF[0]) / RELIEF[1]
@@ -171,15 +176,30 @@ class LookClasses:
                 - apart**2 / 2 - rough**2 / 2)
         return each.sum() - (self.place / PLACE).square().sum() / 2 - (self.power / POWER) ** 2 / 2
 
-    def texels(self, pixels: Pixels, nodes: Tensor) -> Tensor:
-        """Means of texels: diffuse and specular as linear^(1/2.2), roughness, unit normal; M x 10."""
-        found = self.posterior(pixels, nodes)
+    @staticmethod
+    def texels(found: Posterior, specular: Tensor) -> Tensor:
+        """Means of texels: diffuse and specular as linear^(1/2.2), roughness, unit normal; M x 10.
+
+        Args:
+            found: of M pixels.
+            specular: of the classes, K x 3.
+        """
         weight = torch.softmax(found.likely.flatten(1), dim=1).reshape(found.likely.shape)
         normal = F.normalize(F.pad(found.slopes, (0, 1), value=1.0), dim=-1)
-        each = weight[..., None]
-        return torch.cat(((each * color.encode(found.diffuse)).sum((1, 2)),
-                          weight.sum(dim=2) @ color.encode(self.specular),
-                          (weight * found.roughness).sum((1, 2))[:, None], (each * normal).sum((1, 2))), dim=1)
+        each, diffuse = weight[..., None], color.encode(found.diffuse.clamp_min(DARK))
+        return torch.cat(((each * diffuse).sum((1, 2)),
+                          weight.sum(dim=2) @ color.encode(specular), (weight * found.roughness).sum(
+                              (1, 2))[:, None], (each * normal).sum((1, 2))), dim=1)
+
+    def uneven(self, found: Posterior, at: Tensor) -> Tensor:
+        """How much texels differ between rings of equal half angle: a stationary material's do not.
+
+        The variances of their rings' means over their own, summed over the numbers of a texel.
+        """
+        texels = self.texels(found, self.specular)
+        rings = texels[self.lit(at)[0].norm(dim=1).argsort()].tensor_split(RINGS)
+        between = torch.stack([ring.mean(dim=0) for ring in rings]).var(dim=0)
+        return (between / (texels.var(dim=0) + EVEN**2)).sum()
 
 
 def material(texels: Tensor, side: int) -> SVBRDF:

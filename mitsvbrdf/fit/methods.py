@@ -26,6 +26,9 @@ METHODS = {  # the default first
     "gan": MethodEntry(GanConfig, ".solved_gan", "gan_of"),
     "direct": MethodEntry(DirectConfig, ".direct", "Direct"),}
 
+# of hierarchical, for one photo of a material that repeats itself
+ONE_PHOTO = MethodEntry(HierarchicalConfig, ".one_photo", "OnePhoto")
+
 
 def method_name(config: FitConfig) -> str:
     """The name of the method that settings belong to.
@@ -46,9 +49,5 @@ def make_method(task: FitTask[Config]) -> Method:
     Raises:
         ConfigError: they belong to none.
     """
-    if isinstance(task.config, HierarchicalConfig) and task.repeats and task.repeats.stationary:
-        from .one_photo import OnePhoto
-
-        return OnePhoto(task)  # type: ignore[arg-type]
-    entry = METHODS[method_name(task.config)]
+    entry = ONE_PHOTO if task.repeats and task.repeats.stationary else METHODS[method_name(task.config)]
     return getattr(importlib.import_module(entry.module, __package__), entry.name)(task)

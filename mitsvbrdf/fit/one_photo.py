@@ -22,11 +22,12 @@ from .start import robust_start
 from .task import FitTask
 
 STARTS = ((0.2, 0.04), (0.4, 0.04), (0.7, 0.04), (0.25, 0.3), (0.25, 0.7), (0.45, 0.5))  # roughness, F0
-TRIED, STEPS, ITERATIONS = 50, 160, 10  # descents of a start and of the best one, and those of a step
-FEW, MANY = 512, 2048  # pixels of a descent
+TRIED, STEPS, ITERATIONS = 50, 120, 10  # descents of a start and of the best one, and those of a step
+FEW, MANY = 512, 1536  # pixels of a descent
 NODES, MORE, MOST = 16, 24, 64  # what a pixel is averaged over: in descents of all, of the best, in the end
 RATES = 0.06, 0.03  # of Adam for all starts and for the best one
 PIXELS = 64.0  # what is known beforehand of a class counts as so many of the photo's pixels
+STATIONARY = 1.0  # weight of how uneven texels are, beside the log likelihood of a pixel
 UNLIKELIEST = -60.0  # log likelihood of a pixel that no class explains, at least
 CHUNK = 2048  # pixels at once
 
@@ -108,12 +109,13 @@ class OnePhoto(Method[HierarchicalConfig]):
             random = torch.Generator().manual_seed(self.config.seed * 1000 + k)
             some = self.pixels.pick(torch.randint(total, (pixels,), generator=random))
             classes = LookClasses(self.numbers, self.views, self.held)
-            likely = classes.posterior(some, nodes(pixels, many, k)).likely.flatten(1).logsumexp(dim=1)
-            cost = -likely.clamp_min(UNLIKELIEST).mean() - classes.prior() * PIXELS / total
+            found = classes.posterior(some, nodes(pixels, many, k))
+            likely = found.likely.flatten(1).logsumexp(dim=1).clamp_min(UNLIKELIEST).mean()
+            cost = STATIONARY * classes.uneven(found, some.at) - likely - classes.prior() * PIXELS / total
             self.optimizer.param_groups[0]["lr"] = rate * cosine(k / of, 0.05)
             self.optimizer.zero_grad()
             cost.backward()
-            if not torch.isfinite(self.numbers.grad).all():
+            if self.numbers.grad is None or not torch.isfinite(self.numbers.grad).all():
                 return math.nan
             self.optimizer.step()
             costs.append(float(cost.detach()))
@@ -130,7 +132,8 @@ class OnePhoto(Method[HierarchicalConfig]):
         classes, parts = self.classes, []
         with torch.no_grad():
             for some in torch.arange(len(self.pixels.at)).split(CHUNK):
-                parts.append(classes.texels(self.pixels.pick(some), nodes(len(some), MOST, self.config.seed)))
+                found = classes.posterior(self.pixels.pick(some), nodes(len(some), MOST, self.config.seed))
+                parts.append(classes.texels(found, classes.specular))
         views, moved = self.views, F.pad(classes.place, (0, 1)).double() * self.views.size
         return material(torch.cat(parts), self.capture.resolution), replace(
             views.carried(moved), intensity=views.intensity * float(classes.power.exp()))

@@ -32,14 +32,14 @@ class Repeats(NamedTuple):
 
     def said(self) -> str:
         """What is said of it."""
-        found = (f"{self.between:.0%} of how its lightness varies lies between sixteenths of the photo (more "
-                 f"than {BETWEEN:.0%} is a pattern that does not)")
+        found = f"{self.between:.0%} of how its lightness varies lies between sixteenths of the photo"
+        found += (f", which differ by {self.contrast:.0%}" if self.contrast <= CONTRAST else
+                  f" ({BETWEEN:.0%} or less counts as a pattern that repeats itself)")
+        found = "as asked for" if self.asked else found
         if self.stationary:
-            return ("one photo, taken for that of a material that repeats itself: "
-                    + ("as asked for" if self.asked else found)
-                    + "; specular, roughness and normals are those of its look classes, hardly any texel's own")
-        return ("one photo, not taken for that of a material that repeats itself: "
-                + ("as asked for" if self.asked else found))
+            return (f"one photo, taken for that of a material that repeats itself: {found}; specular, "
+                    "roughness and normals are those of its looks, hardly any texel's own")
+        return f"one photo, not taken for that of a material that repeats itself: {found}"
 
 
 def repeats(capture: Capture, asked: bool | None = None) -> Repeats:

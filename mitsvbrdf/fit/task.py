@@ -16,7 +16,7 @@ from ..capture import Capture, guess_diffuse
 from ..capture.rectify import filled
 from ..render import Renderer
 from . import losses
-from .config import FitConfig
+from .config import FitConfig, HierarchicalConfig
 from .fixed_maps import fixed_maps
 from .repeats import Repeats, repeats
 
@@ -70,9 +70,9 @@ class FitTask(Generic[Config]):
         Only `hierarchical` asks, where all maps of the field are fitted to a whole photo.
         """
         config = self.config
-        whole = len(self.capture) == 1 and self.capture.measured is None and not config.fix
-        if not whole or config.bsdf != "roughconductor" or config.grey_specular or not hasattr(config,
-                                                                                               "stationary"):
+        if not isinstance(config, HierarchicalConfig) or config.fix or config.grey_specular:
+            return None
+        if len(self.capture) > 1 or self.capture.measured is not None or config.bsdf != "roughconductor":
             return None
         return repeats(self.capture, config.stationary)
 
