@@ -204,7 +204,7 @@ class LookClasses:
 
 def material(texels: Tensor, side: int) -> SVBRDF:
     """The material of means of texels, M x 10."""
-    planes = texels.reshape(side, side, -1)
+    planes = torch.cat((texels[:, :7].clamp(0, 1), texels[:, 7:]), dim=1).reshape(side, side, -1)
     return SVBRDF("roughconductor", {
         "diffuse": color.decode(planes[..., :3]), "specular": color.decode(planes[..., 3:6]),
         "roughness": planes[..., 6:7].contiguous(), "normal": F.normalize(planes[..., 7:], dim=-1)})
