@@ -91,6 +91,8 @@ class FitTask(Generic[Config]):
             return "the views are a stated default, not a calibration"
         if config.holds_views:
             return "the views are held"
+        if self.repeats and self.repeats.stationary:
+            return "one photo does not tell it from the tilt of all its texels"
         return ("mitsuba-scene has no gradient to the lights" if self.renderer.name == "mitsuba-scene"
                 else None)
 

@@ -64,7 +64,7 @@ PHOTOS = {"one": lambda shots: shots.pick([0]), "two": lambda shots: shots.pick(
 @pytest.mark.parametrize("change", mostly_slow(PHOTOS, "black"))
 def test_any_photos(change, capture):
     shots = PHOTOS[change](capture.averaged(16))
-    result = fit_svbrdf(shots, MITSUBA)
+    result = fit_svbrdf(shots, MITSUBA, HierarchicalConfig(stationary=False))
     sane(result, 16)
     assert result.stopped == "settled" and result.rerender_rmse <= result.trace[0]["rerender_rmse"] + 1e-4
     assert result.flash_offset is not None and result.calibration["estimated"] == (change == "uncalibrated")
