@@ -15,6 +15,7 @@ from .task import FitTask
 # Of the methods that solve every texel by itself.
 _NO_GENERATOR = ("each texel is solved by itself, and at equal time that errs less in the maps: "
                  "docs/results/benchmark.md")
+_LOOKS = "texels are means over the looks of the photo"
 _NO_DISCRIMINATOR = "there is no generator to teach: each pixel's error says what to change"
 
 
@@ -37,7 +38,8 @@ def omitted_by(task: FitTask, views: Views | None = None) -> list[Omitted]:
     if config.wants_flash_offset is not None and task.why_no_flash_offset:
         items.append(Omitted("flash offset", task.why_no_flash_offset))
     if not isinstance(config, (GanConfig, HybridConfig)):
-        items += [Omitted("generator", _NO_GENERATOR), Omitted("discriminator", _NO_DISCRIMINATOR)]
+        looks = task.repeats and task.repeats.stationary
+        items += [Omitted("generator", _LOOKS if looks else _NO_GENERATOR), Omitted("discriminator", _NO_DISCRIMINATOR)]
     elif "discriminator" not in dict(used(task)):
         items.append(Omitted("discriminator", "no loss asks for its verdict"))
     return items
