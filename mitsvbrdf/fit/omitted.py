@@ -39,7 +39,8 @@ def omitted_by(task: FitTask, views: Views | None = None) -> list[Omitted]:
         items.append(Omitted("flash offset", task.why_no_flash_offset))
     if not isinstance(config, (GanConfig, HybridConfig)):
         looks = task.repeats and task.repeats.stationary
-        items += [Omitted("generator", _LOOKS if looks else _NO_GENERATOR), Omitted("discriminator", _NO_DISCRIMINATOR)]
+        items += [Omitted("generator", _LOOKS if looks else _NO_GENERATOR),
+                  Omitted("discriminator", _NO_DISCRIMINATOR)]
     elif "discriminator" not in dict(used(task)):
         items.append(Omitted("discriminator", "no loss asks for its verdict"))
     return items
