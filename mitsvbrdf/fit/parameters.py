@@ -9,7 +9,7 @@ from torch import Tensor
 
 from ..material.maps import CHANNELS, SVBRDF, Bsdf
 
-ROUGHNESS_RANGE = (0.05, 1.0)
+ROUGHNESS_RANGE = (0.02, 1.0)  # alpha from 4e-4, above where renderers cut it
 MAX_SLOPE = 1.5  # of the normal's x and y over z: 56 degrees along an axis
 
 # Channels the raw numbers take, in this order; a normal is two slopes. Grouped as the paper's two streams

@@ -17,7 +17,7 @@ from .solver import Observations, TexelSolver
 from .specular_test import least_errors
 from .texel_prior import LEAST_PRECISION, TexelEstimate, TexelPrior
 
-WIDTHS = tuple(0.05 * 1.32**k for k in range(11))  # roughnesses; alpha grows by 1.74 from one to the next
+WIDTHS = tuple(0.8 / 1.32**k for k in range(13, -1, -1))  # roughnesses; alpha grows by 1.74 a step
 STEPS, OTHERS = 6, 4  # of the solver from each start, and other starts of a texel, of half as many steps
 SEARCH_STEPS = 2 * len(WIDTHS) * (2 * STEPS + OTHERS * (STEPS // 2))
 ROUNDING = 1e-5  # of float32 sums over photos: so much of a diagonal is added to keep matrices definite
@@ -56,10 +56,9 @@ def searched(solver: TexelSolver, photos: Observations, prior: TexelPrior,
     """
     found = [x] * len(WIDTHS)
     best, least = x, torch.full_like(x[0], torch.inf, dtype=torch.float64)
-    upwards = range(len(WIDTHS))
-    for turn, order in enumerate((upwards, reversed(upwards))):
+    for turn in (0, 1):
         last = x
-        for k in order:
+        for k in range(len(WIDTHS))[::1 - 2 * turn]:  # upwards, then downwards
             held = prior.within("roughness", WIDTHS[k], WIDTHS[k])
             last, errors = least_errors(solver, photos, held, [found[k], last], 1, STEPS, turn)
             found[k] = last

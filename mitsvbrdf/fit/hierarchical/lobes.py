@@ -20,6 +20,7 @@ from torch import Tensor
 
 from ...material.maps import DIELECTRIC_F0
 from .evidence import Evidence
+from .texel_prior import BOUNDS
 
 CANDIDATES, MOST, FEWEST = 96, 24, 0.004  # lobes tried, most kept, and share of texels that one must have
 TEXELS, SAME = 2.0, 0.5  # that a lobe must have; squared deviations by which two lobes are the same
@@ -108,6 +109,7 @@ class Learner:
     def __init__(self, names: list[str], member: Tensor, photos: int) -> None:
         self.member, self.photos, self.width = member.double(), photos, names.index("roughness")
         self.count = self.member.sum(dim=0)
+        self.low, self.high = torch.tensor([BOUNDS.get(name, (0.0, 1.0)) for name in names]).double().T
         self.specular = torch.tensor([name == "specular" for name in names])
 
     def each(self, found: Evidence, lobes: Lobes) -> Posterior:
@@ -126,7 +128,7 @@ class Learner:
         """
         best, texels = found.cost.argmin(dim=0), found.cost.shape[1]
         some = torch.randperm(texels, generator=torch.Generator().manual_seed(seed))[:CANDIDATES]
-        mean = found.x[best[some], some].clamp(0.05, 1)
+        mean = found.x[best[some], some].clamp(self.low, self.high)
         tried = Lobes(mean, torch.full_like(mean, FIRST_SPREAD**2), torch.empty(0))
         likely, share = -self.each(found, tried).cost / 2, torch.full_like(mean[:, 0], 1 / len(mean))
         for _ in range(WEIGHING):
@@ -189,7 +191,7 @@ class Learner:
         if coloured:
             hold, pull = self._usual(weight, says, texels)
             weight, says = weight + hold, says + pull
-        mean = torch.linalg.solve(weight, says[..., None])[..., 0].clamp(0.05, 1)
+        mean = torch.linalg.solve(weight, says[..., None])[..., 0].clamp(self.low, self.high)
         off = ((seen.mean - mean).square() + seen.variance) * belongs[..., None]
         common = off.sum(dim=(0, 1)) / len(belongs)
         spread = ((off.sum(dim=0) + COMMON * common) / (texels[:, None] + COMMON)).clamp_min(LEAST_SPREAD**2)

@@ -11,12 +11,13 @@ from torch import Tensor
 
 from ...material.resample import enlarged
 from ..config import HierarchicalConfig
+from ..parameters import ROUGHNESS_RANGE
 from .scales import Scale
 from .sharing import LEAST_SPREAD, NOBODY, shared
 from .unknowns import Unknowns
 
 SHARED = ("specular", "metallic", "roughness")
-BOUNDS = {"roughness": (0.05, 1.0), "normal": (-3.0, 3.0), "specular": (0.05, 1.0)}  # else 0 to 1
+BOUNDS = {"roughness": ROUGHNESS_RANGE, "normal": (-3.0, 3.0), "specular": (0.05, 1.0)}  # else 0 to 1
 # Standard deviations of the first prior; that of the diffuse map stays.
 VAGUE = {"diffuse": 0.5, "base_color": 0.5, "specular": 0.1, "metallic": 0.3, "roughness": 0.1, "normal": 0.1}
 LEAST_PRECISION = 1e-3  # added to that of the prior where variances are asked for

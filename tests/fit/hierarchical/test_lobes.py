@@ -84,6 +84,14 @@ def test_lobes_that_are_known_come_back():
     torch.testing.assert_close(lobes.share.sum(dim=1), torch.ones(2).double())
 
 
+def test_a_lobe_narrower_than_a_pixel_comes_back():
+    x, covariance = valley(torch.Generator().manual_seed(1), 400, 0.6, 0.03, 0.02)
+    found = gaussian_evidence(x.clamp(0.02, 1), covariance)
+    lobes = Learner(NAMES, torch.ones(400, 1), 9).learned(found, seed=0)
+    # 400 texels with an error of 0.012 know their mean to 0.0006; values cut at 0.02 move it by 0.0015.
+    assert abs(float(lobes.mean[lobes.share[0].argmax(), 1]) - 0.03) < 0.003
+
+
 @pytest.mark.parametrize("shown, level", [(0.0, KINDS[0][0]), (0.02, KINDS[0][0]), (20.0, 0.8)])
 def test_a_metal_must_be_shown(shown, level):
     # Photos that say little, a cost of 0.02 for a dielectric, must not make a metal of any number of texels.
