@@ -28,6 +28,9 @@ Falloff = Literal["inverse-square", "none"]
 NEAREST, FARTHEST = 1e-3, 1e6
 BRIGHTEST = 1e12
 
+ALL = slice(None)
+STRIP = 2**16  # texels that are looked at together: what is made of them stays in the cache
+
 
 @dataclass(frozen=True)
 class View:
@@ -205,17 +208,26 @@ def shift_lights(views: Views, flash_offset: tuple[float, float] | None) -> View
     return replace(views, light=views.light + views.light.new_tensor([*flash_offset, 0.0]) * views.size)
 
 
-def texel_positions(resolution: int, dtype: torch.dtype = torch.float64) -> Tensor:
-    """Centres of the texels of an R x R map on a patch of side 1: R x R x 3, row 0 at the top, z = 0."""
+def texel_positions(resolution: int, dtype: torch.dtype = torch.float64, rows: slice = ALL) -> Tensor:
+    """Centres of the texels of an R x R map on a patch of side 1: R x R x 3, row 0 at the top, z = 0.
+
+    ``rows``: only those.
+    """
     step = (torch.arange(resolution, dtype=dtype) + 0.5) / resolution - 0.5
-    y, x = torch.meshgrid(-step, step, indexing="ij")
+    y, x = torch.meshgrid(-step[rows], step, indexing="ij")
     return torch.stack((x, y, torch.zeros_like(x)), dim=-1)
 
 
-def half_angles(views: Views, resolution: int) -> Tensor:
+def strips(resolution: int) -> list[slice]:
+    """Rows of R x R texels in strips of at most :data:`STRIP` texels, so that what is made of them is small."""
+    rows = max(1, STRIP // resolution)
+    return [slice(first, min(first + rows, resolution)) for first in range(0, resolution, rows)]
+
+
+def half_angles(views: Views, resolution: int, rows: slice = ALL) -> Tensor:
     """Angles (rad) between (0, 0, 1) and the half vector of each view at each texel: N x R x R, float64."""
     views = views.in_patch_sides().to(torch.float64)
-    position, angles = texel_positions(resolution), []
+    position, angles = texel_positions(resolution, rows=rows), []
     for camera, light in zip(views.camera.detach(), views.light.detach()):
         half = F.normalize(camera - position, dim=-1) + F.normalize(light - position, dim=-1)
         angles.append(torch.atan2(half[..., :2].norm(dim=-1), half[..., 2]))
@@ -224,7 +236,7 @@ def half_angles(views: Views, resolution: int) -> Tensor:
 
 def coverage_angle(views: Views, resolution: int) -> Tensor:
     """The smallest of the views' :func:`half_angles` at each texel: R x R, float64."""
-    return half_angles(views, resolution).amin(dim=0)
+    return torch.cat([half_angles(views, resolution, rows).amin(dim=0) for rows in strips(resolution)])
 
 
 def nine_view_grid(distance: float = 2.0, spread: float = 0.4) -> Views:
@@ -252,9 +264,12 @@ def default_views(count: int, field_of_view: float = FIELD_OF_VIEW, share: float
     return Views.of([[0.0, 0.0, distance]] * count, intensity=math.pi * distance**2)
 
 
-def geometry(views: Views, resolution: int) -> tuple[Tensor, Tensor, Tensor]:
-    """Unit vectors to the light, half vectors, and irradiance of flat texels: N x R x R x 3 each."""
-    views, texels = views.in_patch_sides(), texel_positions(resolution)
+def geometry(views: Views, resolution: int, rows: slice = ALL) -> tuple[Tensor, Tensor, Tensor]:
+    """Unit vectors to the light, half vectors, and irradiance of flat texels, all or some rows of them.
+
+    N x R x R x 3 each.
+    """
+    views, texels = views.in_patch_sides(), texel_positions(resolution, rows=rows)
     light, camera = (x[:, None, None] - texels for x in (views.light, views.camera))
     reach = light.norm(dim=-1, keepdim=True)
     if views.falloff == "none":

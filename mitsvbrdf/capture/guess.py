@@ -8,12 +8,13 @@ import torch.nn.functional as F
 from numpy.typing import ArrayLike
 from torch import Tensor
 
+from .. import color
 from ..color import NEARLY_CLIPPED
 from ..errors import ConfigError
 from ..io.entry import entry
 from ..io.layout import Layout
 from ..material.resample import resized
-from ..views import geometry
+from ..views import geometry, strips
 from .capture import Capture
 
 GuessMethod = Literal["robust", "min", "mean-blur"]
@@ -85,16 +86,15 @@ def _blurred(image: Tensor) -> Tensor:
 
 
 def _robust(capture: Capture) -> Tensor:
-    light, half, irradiance = geometry(capture.views, capture.resolution)
-    albedo = over(math.pi * capture.linear, irradiance)  # apparent albedo of a flat Lambertian
-    most = over(torch.tensor(math.pi), irradiance)  # and of a clipped pixel
-
     size = min(capture.resolution, FIT_SIZE)
+    light, half, irradiance = geometry(capture.views, size)
+    most = over(torch.tensor(math.pi), irradiance)  # apparent albedo of a clipped pixel
+    albedo = torch.cat([_apparent(capture, rows).mean(dim=-1, keepdim=True)
+                        for rows in strips(capture.resolution)], dim=1)
     # photos that show each texel; all where none does
-    shows = (torch.ones_like(capture.photos[..., 0], dtype=torch.bool) if capture.measured is None
-             else capture.measured | ~capture.measured.any(dim=0))[..., None]
-    known = (resized((~shows).float(), size) == 0).float()
-    texels = [known, *(resized(x, size) for x in (albedo.mean(-1, True), most.mean(-1, True), light, half))]
+    shows = None if capture.measured is None else (capture.measured | ~capture.measured.any(dim=0))[..., None]
+    known = torch.ones_like(most[..., :1]) if shows is None else (resized((~shows).float(), size) == 0).float()
+    texels = [known, resized(albedo, size), most.mean(-1, True), light, half]
     texels = [x.flatten(1, 2).transpose(0, 1).squeeze(-1).contiguous() for x in texels]  # M x N (x 3)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # more save at most a third on such small chunks, or cost 50 times the time
@@ -106,10 +106,20 @@ def _robust(capture: Capture) -> Tensor:
     shading, lobe = (resized(torch.cat(x).T.reshape(-1, size, size, 1), capture.resolution)
                      for x in zip(*fitted))
 
-    least = torch.where(shows, capture.photos, torch.inf).amin(dim=0)
-    seen = shows & ((capture.photos < NEARLY_CLIPPED) | (capture.photos == least))
-    diffuse = torch.where(seen, (albedo - lobe) / shading, torch.nan)
-    return diffuse.nanmedian(dim=0).values.clamp(0, 1)
+    def diffuse(rows: slice) -> Tensor:
+        photos, shown = capture.photos[:, rows], torch.tensor(True) if shows is None else shows[:, rows]
+        least = torch.where(shown, photos, torch.inf).amin(dim=0)
+        seen = shown & ((photos < NEARLY_CLIPPED) | (photos == least))
+        found = (_apparent(capture, rows) - lobe[:, rows]) / shading[:, rows]
+        return torch.where(seen, found, torch.nan).nanmedian(dim=0).values.clamp(0, 1)
+
+    return torch.cat([diffuse(rows) for rows in strips(capture.resolution)])
+
+
+def _apparent(capture: Capture, rows: slice) -> Tensor:
+    """The albedo of a flat Lambertian that looks like these rows of the photos, N x ? x R x 3."""
+    irradiance = geometry(capture.views, capture.resolution, rows)[2]
+    return over(math.pi * color.decode(capture.photos[:, rows], capture.transfer), irradiance)
 
 
 def _shade(texels: Tensor, light: Tensor, half: Tensor) -> tuple[Tensor, Tensor]:

@@ -66,6 +66,7 @@ class Loop:
         self.trace: list[dict] = []
         self.seen: Seen  # at the latest measurement
         self.best: Seen | None = None
+        self.whole = False  # whether the latest measurement was of all texels
 
     def run(self) -> str:
         """Advance until a limit or Ctrl-C; returns why it ended, as :attr:`Fit.stopped` says."""
@@ -86,9 +87,9 @@ class Loop:
                     self.save()
                     saved = time.perf_counter()
         why = "interrupted" if stop else why  # Ctrl-C may have come since we looked
-        off_beat = self.iteration % self.beat > 0
+        off_beat = self.iteration % self.beat > 0 or not self.whole
         if off_beat:
-            good, losses, seen = self._checked(good, losses)
+            good, losses, seen = self._checked(good, losses, whole=True)
         if self.checkpoint:
             self.save()
         if off_beat:
@@ -129,28 +130,34 @@ class Loop:
             self._record(seen, losses)
         return good, losses
 
-    def _checked(self, good: dict[str, Tensor],
-                 losses: dict[str, float]) -> tuple[dict[str, Tensor], dict[str, float], Seen]:
+    def _checked(self, good: dict[str, Tensor], losses: dict[str, float], whole: bool = False
+                 ) -> tuple[dict[str, Tensor], dict[str, float], Seen]:
         """The present state, its losses and its look; if not finite, the one before without losses."""
-        seen = self._look()
+        seen = self._look(whole)
         if not isinstance(seen, str):
             return self.method.state(), losses, seen
         good = self._undo(good, seen)
-        seen = self._look()
+        seen = self._look(whole)
         if isinstance(seen, str):  # a state resumed from need not render well
             assert self.best is not None
             seen = self.best
         return good, {}, seen
 
-    def _look(self) -> Seen | str:
-        """Error, maps and views of the present state, or the name of what in it is not finite."""
+    def _look(self, whole: bool = False) -> Seen | str:
+        """Error, maps and views of the present state, or the name of what in it is not finite.
+
+        Args:
+            whole: look at all texels, where a sample would do.
+        """
         with profiled("measuring"):
             for name, value in self.method.state().items():
                 if not finite(value):
                     return f"{name} not finite"
-            svbrdf, views = self.method.estimate()
+            sample = None if whole else self.method.glimpse()
+            svbrdf, views, capture = sample or (*self.method.estimate(), self.capture)
+            self.whole = sample is None
             try:
-                images, rmse, _ = rerender(self.renderer, svbrdf, views, self.capture)
+                images, rmse, _ = rerender(self.renderer, svbrdf, views, capture)
             except NotFiniteError as error:
                 return error.got
             return (rmse, svbrdf, views) if finite(images) else "a re-rendered photo not finite"
@@ -189,6 +196,8 @@ class Loop:
             self.best = seen
         entry = {"seconds": round(self.seconds, 3), "iteration": self.iteration, **losses,
                  "rerender_rmse": seen[0]}
+        if self.trace and self.trace[-1]["iteration"] == self.iteration:  # of a sample
+            entry = self.trace.pop() | entry
         self.trace.append(entry)
         if self.report:
             self.report(entry, self.progress)
@@ -235,7 +244,8 @@ class Loop:
             views = replace(self.method.views, camera=lit["camera"], light=lit["light"],
                             intensity=lit["intensity"])
             best = SVBRDF(self.config.bsdf, part(tensors, "best."))
-            if best.resolution != self.capture.resolution or len(views) != len(self.capture):
+            self.whole = best.resolution == self.capture.resolution
+            if best.resolution > self.capture.resolution or len(views) != len(self.capture):
                 raise ValueError(f"maps of {best.resolution} px for {len(views)} photos")
         except (LookupError, TypeError, ValueError, RuntimeError, AttributeError, MitsvbrdfError) as reason:
             raise ConfigError("a checkpoint of the same options",

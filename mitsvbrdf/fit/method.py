@@ -9,6 +9,7 @@ from typing import Generic
 import torch
 from torch import Tensor
 
+from ..capture import Capture
 from ..io.profile import profiled
 from ..material.maps import SVBRDF
 from ..render.needs import Omitted
@@ -62,6 +63,10 @@ class Method(ABC, Generic[Config]):
     def done(self) -> bool:
         """Whether going on would change nothing."""
         return False
+
+    def glimpse(self) -> tuple[SVBRDF, Views, Capture] | None:
+        """A small sample of :meth:`estimate` with its photos, while the whole of it is work; else None."""
+        return None
 
     def preview(self) -> SVBRDF | None:
         """The present material of any size, nearly for free; None stands for the latest measurement."""

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from ..capture import Capture
 from ..color import CLIPPED
+from ..material.resample import sampled
 from ..measure.burn_in import LOCAL_SIDE, burn_in, local_burn_in
 from .confidence import DETERMINED, of_texels
 from .config import HierarchicalConfig
@@ -28,6 +29,7 @@ FAINT = 0.015  # F0, median; eleven had 0.0156 and more, one 0.013. Water has 0.
 STRONG, HARDLY = 0.1, 0.5
 MORE_SHARE = 0.1  # of texels that reflect more than arrives; three of the eighteen had 0.28 to 0.55, others 0
 ASIDE = 0.05  # patch sides from the middle that count as beside it
+SAMPLED = 256  # px a side that tell of gains
 COARSE = 64  # px at which photos are compared; the closest two of the eighteen are 4.6 / 255 apart
 WORSE = 2.5  # times the median error of a photo; 1.1 to 2.3
 POOR = 0.1  # re-rendering RMSE
@@ -89,8 +91,10 @@ def _twice(capture: Capture) -> Iterator[str]:
 
 
 def _light(result: Fit, capture: Capture) -> Iterator[str]:
-    photos, images = capture.linear, result.rerendered
-    usable = capture.usable & (capture.photos > DARK) & (images > 0)
+    small = capture.sampled(min(SAMPLED, capture.resolution))
+    photos = small.linear
+    images = sampled(result.rerendered.movedim(-1, 1), min(SAMPLED, capture.resolution)).movedim(1, -1)
+    usable = small.usable & (small.photos > DARK) & (images > 0)
     if float(usable.float().mean()) > USABLE:
         gain = float((photos[usable] / images[usable]).median())
         if not 1 / GAIN < gain < GAIN:

@@ -9,6 +9,7 @@ from .. import color
 from ..errors import BackendError, CaptureError, ConfigError, MapsError
 from ..material.encoding import ENCODINGS
 from ..material.maps import SVBRDF
+from ..views import strips
 
 # Pixels darker than this share of the reference's mean are compared against the share instead of their own
 # value.
@@ -74,12 +75,15 @@ def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "g
         shapes = f"{tuple(rerendered.shape)} and {tuple(photos.shape)}"
         raise CaptureError("re-rendered and real photos of one shape N x R x R x 3", shapes,
                            "render every view at the photos' resolution")
-    shown = color.to_display(rerendered.detach().double(), transfer)
-    squares = (shown - color.clip(photos.double())).square()
+    count, side = photos.shape[:2]
+    total, share = torch.zeros(count, dtype=torch.float64), 1.0
     if measured is not None:
-        share = measured.double().mean(dim=(1, 2), keepdim=True).clamp_min(1e-9)
-        squares = squares * (measured / share)[..., None]
-    squares = squares.mean(dim=(1, 2, 3))
+        share = measured.double().mean(dim=(1, 2)).clamp_min(1e-9)
+    for rows in strips(side):
+        shown = color.to_display(rerendered[:, rows].detach().double(), transfer)
+        squares = (shown - color.clip(photos[:, rows].double())).square()
+        total += (squares if measured is None else squares * measured[:, rows, :, None]).sum(dim=(1, 2, 3))
+    squares = total / share / photos[0].numel()
     return math.sqrt(squares.mean()), squares.sqrt().tolist()
 
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor
 
 from ...measure.burn_in import cubic
-from ...views import Views, coverage_angle, geometry
+from ...views import Views, coverage_angle, geometry, strips
 from ..config import HierarchicalConfig
 from .scales import Scale
 from .sensor_noise import noise_at
@@ -81,9 +82,11 @@ def trust(views: Views, roughness: Tensor, reach: float) -> Tensor:
         roughness: R x R.
         reach: in lobe widths.
     """
-    _, half, _ = geometry(views, roughness.shape[-1])
-    sine2 = half[..., :2].square().sum(-1)
-    return (1 / (1 + sine2 / (1 - sine2) / (reach * roughness**2) ** 2)).clamp_min(TAIL_FLOOR)
+    side, parts = roughness.shape[-1], []
+    for rows in strips(side):
+        sine2 = geometry(views, side, rows)[1][..., :2].square().sum(-1)
+        parts.append((1 / (1 + sine2 / (1 - sine2) / (reach * roughness[rows]**2) ** 2)).clamp_min(TAIL_FLOOR))
+    return torch.cat(parts, dim=1)
 
 
 def without_burn_in(planes: Tensor, views: Views, trusted: Tensor) -> Tensor:

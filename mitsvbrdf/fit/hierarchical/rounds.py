@@ -19,6 +19,7 @@ from functools import partial
 import torch
 from torch import Tensor
 
+from ...capture import Capture
 from ...io.profile import profiled
 from ...material.maps import SVBRDF
 from ...material.resample import enlarged
@@ -191,6 +192,13 @@ class Hierarchical(Method[HierarchicalConfig]):
                      self.capture.resolution)
         views, solver = self.corrections.applied(self.views), self.scales.solver(x.shape[-1])
         return solver.svbrdf(x).map(Tensor.contiguous), views
+
+    def glimpse(self) -> tuple[SVBRDF, Views, Capture] | None:
+        """Before the last stage: the present maps beside every k-th pixel of the photos."""
+        sharp = self.scales.of(Stage.ALONE).capture
+        if self.scale.capture.resolution == self.capture.resolution:
+            return None
+        return self.preview(), self.corrections.applied(self.views), sharp
 
     def preview(self) -> SVBRDF:
         """The present answer as it is, at the size of the present stage."""

@@ -21,7 +21,7 @@ from ... import color
 from ...capture import Capture
 from ...capture.guess import over
 from ...material.maps import DIELECTRIC_F0
-from ...views import geometry
+from ...views import STRIP, geometry, strips
 
 KMEANS_ROUNDS, KMEANS_STARTS = 30, 1
 ROUNDS = 10  # of expectation-maximisation; tau changes by less than 1 % afterwards
@@ -47,15 +47,21 @@ def appearance_of(capture: Capture, guess: Tensor) -> Tensor:
         capture: N photos with their views.
         guess: guessed diffuse map, R x R x 3.
     """
-    _, _, irradiance = geometry(capture.views, capture.resolution)
-    albedo = over(math.pi * capture.linear, irradiance).flatten(1, 2).transpose(0, 1)  # M x N x 3
+    return torch.cat([_appearance(capture, guess, rows) for rows in strips(capture.resolution)])
+
+
+def _appearance(capture: Capture, guess: Tensor, rows: slice) -> Tensor:
+    """Of some rows."""
+    _, _, irradiance = geometry(capture.views, capture.resolution, rows)
+    linear = color.decode(capture.photos[:, rows], capture.transfer)
+    albedo = over(math.pi * linear, irradiance).flatten(1, 2).transpose(0, 1)  # M x N x 3
     order, count = albedo.mean(dim=-1).argsort(dim=1), len(capture)
     middle = order[:, count // 4:max(count // 4 + 1, 3 * count // 4), None].expand(-1, -1, 3)
     encoded = color.encode(albedo.gather(1, middle).mean(dim=1).clamp(1e-4, 10))
     lightness = encoded.mean(dim=1, keepdim=True)
     chroma = encoded / lightness.clamp_min(0.02) - 1
     return torch.cat((chroma / 4, lightness / 2,
-                      color.encode(guess.reshape(-1, 3).mean(dim=1, keepdim=True)) / 2), dim=1)
+                      color.encode(guess[rows].reshape(-1, 3).mean(dim=1, keepdim=True)) / 2), dim=1)
 
 
 def basis_materials(appearance: Tensor, count: int, seed: int) -> Tensor:
@@ -83,7 +89,8 @@ def membership(appearance: Tensor, basis: Tensor, width: float) -> Tensor:
         basis: of :func:`basis_materials`, K x 5.
         width: the standard deviation.
     """
-    return F.softmax(-torch.cdist(appearance, basis).square() / (2 * width**2), dim=1)
+    return torch.cat([F.softmax(-torch.cdist(part, basis).square() / (2 * width**2), dim=1)
+                      for part in appearance.split(STRIP)])
 
 
 class Shared(NamedTuple):
