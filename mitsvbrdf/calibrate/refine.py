@@ -31,6 +31,7 @@ from ..io.entry import entry
 from ..io.layout import Layout
 from ..kinds import check_fields
 from ..material.maps import SVBRDF
+from ..render import Renderer
 from ..render.analytic import AnalyticRenderer
 from ..render.needs import Needs
 from ..views import NEAREST, Views
@@ -40,6 +41,7 @@ CHANGE = Layout(camera=(3,), flash=(3,), log_exposure=())  # the same, as parts
 REFINE_SIDE = 128  # pixels a side that are looked at; larger photos and maps are area-averaged
 # of the differences, in patch sides: 1e-3 of the sharpest highlight; its error is 1e-6 of the slope
 STEP = 1e-5
+STEP_FLOAT32 = 1e-4  # where values have the digits of float32
 # residuals beyond so many deviations count by their size alone: 95 % efficient on normal noise (Huber 1981)
 HUBER = 1.345
 BLOCKS = 8  # a side; averages over these show how far residuals hang together
@@ -111,7 +113,8 @@ class RefinedViews:
 
 @entry()
 def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors = Priors(),  # noqa: B008
-                 iterations: int = ITERATIONS, start: Tensor | None = None) -> RefinedViews:
+                 iterations: int = ITERATIONS, start: Tensor | None = None,
+                 renderer: Renderer | None = None) -> RefinedViews:
     """The most probable views of photos of a known material; about a second for two photos.
 
     Args:
@@ -120,6 +123,7 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
         capture: the N photos.
         start: changes N x 7 from which the search begins, such as those found with earlier maps; left out,
             those expected.
+        renderer: draws everything a scene may need; left out: the analytic one, in float64.
 
     Returns:
         A local optimum: a highlight must overlap its photo's to be drawn there.
@@ -128,7 +132,7 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
         CaptureError: not as many views as photos.
         ConfigError: expected changes that are not seven numbers or N x 7.
     """
-    problem = Problem(svbrdf, views, capture, priors)
+    problem = Problem(svbrdf, views, capture, priors, renderer)
     here = problem.linear(problem.u_of(problem.expected if start is None else start))
     damping, tried, size = 1e-3, 0, float("inf")
     while tried < iterations and size > SETTLED:
@@ -172,7 +176,8 @@ class Problem:
     pixels that count as one.
     """
 
-    def __init__(self, svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors) -> None:
+    def __init__(self, svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors,
+                 renderer: Renderer | None = None) -> None:
         count = len(views)
         if count != len(capture):
             raise CaptureError(f"a view for each of {len(capture)} photos", f"{count} views",
@@ -186,8 +191,9 @@ class Problem:
         self.measured = capture.measured_at(side)
         if self.measured is not None:
             self.clipped |= ~self.measured[..., None]
-        self.renderer = AnalyticRenderer(torch.float64, Needs())  # everything: light and camera move apart
+        self.renderer = renderer or AnalyticRenderer(torch.float64, Needs())  # everything: light and camera move apart
 
+        self.step = STEP_FLOAT32 if renderer else STEP
         self.whitened = Layout(own=(count, CHANGE.size), common_flash=(2,))
         own = CHANGE.pack(camera=priors.camera, flash=priors.flash, log_exposure=priors.exposure)
         self.shared = torch.zeros(2, self.whitened.size, dtype=torch.float64)
@@ -202,6 +208,10 @@ class Problem:
             raise ConfigError(f"{len(UNKNOWNS)} expected changes, or {count} x {len(UNKNOWNS)}",
                               f"shape {tuple(expected.shape)}", f"give {', '.join(UNKNOWNS)}")
         self.expected = expected.expand(count, -1)
+
+    def drawn(self, views: Views) -> Tensor:
+        """Radiance N x R x R x 3, float64."""
+        return self.renderer.render(self.maps, views).double()
 
     def change(self, u: Tensor) -> Tensor:
         """Changes N x 7, by :data:`UNKNOWNS`."""
@@ -238,23 +248,23 @@ class Problem:
         views = moved(self.given, self.change(u))
         if float(torch.cat((views.camera[:, 2], views.light[:, 2])).min()) < NEAREST * views.size:
             return float("inf")
-        return self._cost(u, self.residuals(self.renderer.render(self.maps, views)), evidence)
+        return self._cost(u, self.residuals(self.drawn(views)), evidence)
 
     def linear(self, u: Tensor, evidence: tuple[Tensor, Tensor] | None = None) -> Linear:
         """The cost around u; left out, the evidence is what there is at u."""
         change = self.change(u)
-        radiance = self.renderer.render(self.maps, moved(self.given, change))
+        radiance = self.drawn(moved(self.given, change))
         error = self.residuals(radiance)
         noise, alike = evidence = evidence or self.evidence(error)
         columns = []
         for unknown in range(CHANGE["log_exposure"].start):  # camera and flash
             step = torch.zeros(CHANGE.size, dtype=torch.float64)
-            step[unknown] = STEP
+            step[unknown] = self.step
             columns.append(
-                [self.renderer.render(self.maps, moved(self.given, change + s)) for s in (step, -step)])
-        columns.append([radiance * math.exp(s) for s in (STEP, -STEP)])
+                [self.drawn(moved(self.given, change + s)) for s in (step, -step)])
+        columns.append([radiance * math.exp(s) for s in (self.step, -self.step)])
         slopes = torch.stack([(color.encode(more, self.transfer) - color.encode(less, self.transfer))
-                              / (2 * STEP) for more, less in columns], dim=-1).flatten(1, 3)
+                              / (2 * self.step) for more, less in columns], dim=-1).flatten(1, 3)
         weights = (HUBER * noise / error.abs()).clamp_max(1) / (noise**2 * alike)
         weights = torch.where(self._bright_enough(error), 0.0, weights).flatten(1)[..., None]
         matrix = torch.block_diag(*(slopes.mT @ (weights * slopes)))

@@ -27,6 +27,7 @@ DAMPING_RANGE = 1e-6, 1e6
 ROUNDING = 1e-5  # a cost that grows by less than this share has not grown: errors are differences of float32
 # a refused step no longer than this is one of a texel that has arrived: it leaves the damping alone
 STILL = 1e-4
+FREE = 1.0  # damping up to which a step that short ends the search: it was not held back
 
 
 class Kernel:
@@ -70,27 +71,29 @@ class Kernel:
                high: list, iterations: Any) -> list:
         import drjit as dr
 
-        def iterate(k: Any, trial: list, x: list, damping: Any, data: Any, prior: Any, slope: list,
-                    curve: list) -> tuple:
+        def iterate(k: Any, moves: Any, trial: list, x: list, damping: Any, data: Any, prior: Any,
+                    slope: list, curve: list) -> tuple:
             trial_prior = sum(p * dr.square(t - m) for p, t, m in zip(precision, trial, mean))
             trial_data, trial_slope, trial_curve = self._linearised(problem, trial)
             # False for what is no number
             better = trial_data + trial_prior <= (data + prior) * (1 + ROUNDING)
             better &= dr.isfinite(trial_data + trial_prior)
+            still = (k > 0) & (damping <= FREE) & (farthest(trial, x) <= STILL)
             damping = dr.select(k == 0, damping, next_damping(damping, better, trial, x))
             x, data, prior, slope, curve = chosen(better, [trial, trial_data, trial_prior, trial_slope,
                                                            trial_curve], [x, data, prior, slope, curve])
             down = [p * (m - v) - s for s, p, v, m in zip(slope, precision, x, mean)]
             step = bounded_step(down, self._matrix(curve, precision), damping, x, low, high)
             trial = [dr.clip(v + s, least, most) for v, s, least, most in zip(x, step, low, high)]
-            return k + 1, trial, x, damping, data, prior, slope, curve
+            return k + 1, ~still, trial, x, damping, data, prior, slope, curve
 
         Float = self.mi.Float
-        state = (dr.zeros(self.mi.UInt32, self.texels), [Float(v) for v in start], start, damping,
+        state = (dr.zeros(self.mi.UInt32, self.texels), dr.full(self.mi.Bool, True, self.texels),
+                 [Float(v) for v in start], start, damping,
                  dr.full(Float, dr.inf, self.texels), *self.zeros(1), self.zeros(self.size),
                  self.zeros(len(self.pairs)))
-        _, _, x, damping, data, prior, *_ = dr.while_loop(state, lambda k, *_: k <= iterations, iterate,
-                                                          label="iterations")
+        _, _, _, x, damping, data, prior, *_ = dr.while_loop(
+            state, lambda k, moves, *_: moves & (k <= iterations), iterate, label="iterations")
         return [x, [damping, data, prior]]
 
     def _posterior(self, problem: dict, x: list, precision: list) -> list:
@@ -207,8 +210,15 @@ def next_damping(damping: Any, better: Any, trial: list, x: list) -> Any:
     """The damping after a step to ``trial`` that was better than ``x``, or was not."""
     import drjit as dr
 
-    arrived = reduce(dr.maximum, [dr.abs(t - v) for t, v in zip(trial, x)]) <= STILL
+    arrived = farthest(trial, x) <= STILL
     return dr.clip(damping * dr.select(better, EASED, dr.select(arrived, 1, STIFFENED)), *DAMPING_RANGE)
+
+
+def farthest(trial: list, x: list) -> Any:
+    """How far the number goes that goes farthest."""
+    import drjit as dr
+
+    return reduce(dr.maximum, [dr.abs(t - v) for t, v in zip(trial, x)])
 
 
 def bounded_step(down: list, matrix: cholesky.Matrix, damping: Any, x: list, low: list, high: list) -> list:

@@ -59,15 +59,14 @@ class RealPhotos:
             self.seen.stages.believe(self._noise(tied, scale, turns))
 
     def _noise(self, tied: TexelEstimate, scale: Scale, turns: range) -> float:
+        sharp = self.scales.of(Stage.ALONE)
         starts, every = dict[int, TexelEstimate](), self.seen.observations(scale, tied)
         for photo in turns:
             others, answer = every.without(photo), tied
             for _ in range(AGREED):
                 answer = self.next_prior(scale, others, answer._replace(
                     x=stepped(scale.solver, others, answer, self.prior, STEPS).x))
-            (_, free), some = self.at_full_size(answer, scale), self.scales.sampled
-            starts[photo] = TexelEstimate(some(free.x), some(free.mean), some(free.precision), free.spread)
-        sharp = self.scales.of(Stage.ALONE)
+            starts[photo] = self.prior.free(self.prior.enlarge(answer, scale, sharp, tied=True))
         photos = replace(self.seen.observations(sharp, tied), robust=ROBUST_END * NOISE, noise=NOISE,
                          weights=sharp.capture.measured)
         return NOISES[least_as_good(prediction_errors(photos, sharp.solver, self.prior, starts, NOISES))]

@@ -24,7 +24,7 @@ from ...io.profile import profiled
 from ...material.maps import SVBRDF
 from ...material.resample import enlarged
 from ...render import make_renderer
-from ...render.needs import Omitted
+from ...render.needs import Needs, Omitted
 from ...views import Views
 from ..config import HierarchicalConfig
 from ..method import Method
@@ -38,7 +38,7 @@ from .real_photos import RealPhotos
 from .scales import Scales
 from .shared_lobes import TRIED
 from .specular_test import Search
-from .stages import NOISE, Stage, Stages, unexplained
+from .stages import MOVED, NOISE, Stage, Stages, unexplained
 from .starts import LESS, other_starts
 from .texel_prior import TexelEstimate, TexelPrior
 from .time_budget import FAR_STEPS, LAST_STEPS, OTHER_STEPS, ROUND_STEPS, STEPS, TimeBudget
@@ -70,6 +70,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.budget = TimeBudget(config.budget, self.stages, capture.resolution**2)
         self.seen = ObservationModel(self.stages, self.corrections, config, self.budget)
         self.exact, self.real = ExactPhotos(task, search, self.seen), RealPhotos(search, self.seen)
+        self.engine = make_renderer("mitsuba", self.variant, Needs())
         self.cut = False  # whether the time left was too short for the whole of the latest round
         self.answer = self.start()
 
@@ -148,14 +149,17 @@ class Hierarchical(Method[HierarchicalConfig]):
         steps = self.budget.steps(STEPS, self.budget.to_come) if fine else STEPS
         others = FAR_STEPS if lobes else OTHER_STEPS
         self.cut, (answer, cost) = steps < STEPS, self._scored(self.answer, steps)
+        self.stages.moved(float(((answer.x - self.answer.x).abs().amax(dim=0) > MOVED).float().mean()))
+        first = cost.mean()
         starts = lobes.starts(answer, turn) if lobes else other_starts(self.prior, turn)
-        for start in starts if self.config.neighbours else ():
+        for start in starts if self.config.neighbours and self.stages.others else ():
             if fine and not self.budget.in_time(others * self.scale.texels):
                 self.cut = True
                 break
             other, its = self._scored(start(answer), others)
             better = its < cost * (1 - LESS)
             answer, cost = answer.where(better, other), torch.where(better, its, cost)
+        self.stages.saved(float((first - cost.mean()) / first))
         last = (TRIED * others + LAST_STEPS) * self.scale.texels
         if lobes and self.stages.settled and not self.cut and self.budget.in_time(last):
             answer = lobes.averaged(answer, cost, partial(self._scored, steps=others))
@@ -180,11 +184,12 @@ class Hierarchical(Method[HierarchicalConfig]):
             self.answer, slope = self.prior.levelled(self.answer)
             self.corrections.level(slope)
         work = self.corrections.work * self.scale.texels
-        if rounds in REFINED.get(stage, ()) and self.corrections.begun(self.budget.in_time(work, "views")):
+        refined = (self.stages.last - 1,) if stage == Stage.FINE and self.stages.tied else REFINED.get(stage, ())
+        if rounds in refined and self.corrections.begun(self.budget.in_time(work, "views")):
             with profiled("views"), self.budget.timed("views", work):
                 if sloped and stage != Stage.FINE:
                     self.answer, _ = self.prior.levelled(self.answer)
-                self.corrections.refine(self.preview(), self.scale.capture)
+                self.corrections.refine(self.preview(), self.scale.capture, self.engine)
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The present maps at full size, of tied texels with the freedom that they have in the end."""

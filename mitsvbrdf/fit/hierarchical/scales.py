@@ -7,10 +7,12 @@ from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 
+import torch
 from torch import Tensor
 
 from ...capture import Capture
 from ...material.resample import area_averaged, sampled
+from ...views import STRIP
 from ..config import HierarchicalConfig
 from .sharing import appearance_of, basis_materials, membership
 from .solver import TexelSolver
@@ -48,6 +50,12 @@ class Scale:
     def member(self) -> Tensor:
         """How much of each basis material texels are, M x K."""
         return membership(appearance_of(self.capture, self.guess), self.basis, self.width)
+
+    def of_basis(self, values: Tensor) -> Tensor:
+        """Numbers of the basis materials, S x K, as the texels have them by their look, S x R x R."""
+        looks, side = appearance_of(self.capture, self.guess), self.capture.resolution
+        return torch.cat([values @ membership(part, self.basis, self.width).T for part in looks.split(STRIP)],
+                         dim=1).reshape(-1, side, side)
 
 
 class Scales:

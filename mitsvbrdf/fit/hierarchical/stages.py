@@ -28,6 +28,9 @@ class Stage(IntEnum):
     FINE = 3  # full size
 
 
+# At full size of real photos one more round follows a round in which fewer than CALM of the texels moved by
+# MOVED, and other starts end with the round in which they saved less than WORTH of the cost.
+MOVED, CALM, WORTH = 0.01, 0.05, 1e-3
 ROUNDS = {Stage.ALONE: 12, Stage.MULTI_START: 10, Stage.TOGETHER: 12, Stage.FINE: 6}
 LOBE_ROUNDS, ALIKE = 4, 2  # of FINE, where texels share lobes; in the first of them all pixels count alike
 ALONE_ROUNDS = 14  # of FINE, for exact photos whose texels share no lobes
@@ -62,6 +65,8 @@ class Stages:
         self.detail = torch.tensor(NOISE)
         self.sensor = torch.full((2, STEPS), torch.nan)
         self.hurried = False
+        self.last = ROUNDS[Stage.FINE]  # round of FINE, of real photos
+        self.others = True  # whether other starts are worth their time
         self.matte = False  # whether the photos were found to need no specular lobe
 
     @property
@@ -97,7 +102,7 @@ class Stages:
     @property
     def settled(self) -> bool:
         """Whether another round would change little."""
-        rounds = ROUNDS[Stage.FINE] if not self.exact else LOBE_ROUNDS if self.measured else ALONE_ROUNDS
+        rounds = self.last if not self.exact else LOBE_ROUNDS if self.measured else ALONE_ROUNDS
         return self.stage == Stage.FINE and self.rounds >= rounds
 
     @property
@@ -137,6 +142,16 @@ class Stages:
         self.hurried = stage == Stage.FINE and (hurried or not self.finished)
         self.stage, self.rounds = stage, 0
 
+    def moved(self, share: float) -> None:
+        """Learn which share of the texels moved by :data:`MOVED` in this round."""
+        if self.stage == Stage.FINE and not self.exact and share < CALM:
+            self.last = min(self.last, self.rounds + 1)
+
+    def saved(self, share: float) -> None:
+        """Learn which share of the cost other starts saved in this round."""
+        if self.stage == Stage.FINE and not self.exact and share < WORTH:
+            self.others = False
+
     def begin_round(self) -> None:
         """Count another round, and set its noise."""
         self.noise = torch.tensor(self._next_noise())
@@ -158,14 +173,15 @@ class Stages:
 
     def state(self) -> dict[str, Tensor]:
         """Everything :meth:`load_state` needs."""
-        return {"stage": torch.tensor([self.stage, self.rounds, self.hurried]),
+        return {"stage": torch.tensor([self.stage, self.rounds, self.hurried, self.last, self.others]),
                 "matte": torch.tensor(self.matte), "noise": self.noise.clone(), "detail": self.detail.clone(),
                 "unexplained": self.unexplained.nan_to_num(-1.0), "sensor": self.sensor.nan_to_num(-1.0)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
-        stage, self.rounds, hurried = state["stage"].tolist()
+        stage, self.rounds, hurried, self.last, others = state["stage"].tolist()
         self.stage, self.hurried, self.matte = Stage(stage), bool(hurried), bool(state["matte"])
+        self.others = bool(others)
         self.noise, self.detail = state["noise"].clone(), state["detail"].clone()
         self.unexplained, self.sensor = (torch.where(state[name] < 0, torch.nan, state[name])
                                          for name in ("unexplained", "sensor"))

@@ -132,14 +132,14 @@ class TexelPrior:
     def enlarge(self, answer: TexelEstimate, coarse: Scale, fine: Scale, tied: bool) -> TexelEstimate:
         """An estimate at full size; shared unknowns follow look-alikes (joint upsampling, Kopf 2007)."""
         side = fine.capture.resolution
-        if side == coarse.capture.resolution:
+        if side == coarse.capture.resolution and fine.capture is coarse.capture:
             return answer
         x = enlarged(answer.x, side)
         if tied and len(self.shared):
             own = answer.x[self.shared]
             alike = own.flatten(1) @ coarse.member / coarse.member.sum(dim=0).clamp_min(NOBODY)
             off = own - (alike @ coarse.member.T).reshape(own.shape)
-            x[self.shared] = enlarged(off, side) + (alike @ fine.member.T).reshape(-1, side, side)
+            x[self.shared] = enlarged(off, side) + fine.of_basis(alike)
             x[self.shared] = self.bounded(x[self.shared], self.shared)
         return TexelEstimate(x, enlarged(answer.mean, side), enlarged(answer.precision, side), answer.spread)
 

@@ -10,14 +10,15 @@ from torch import Tensor
 from ...calibrate.refine import CHANGE, ITERATIONS, PRIORS, UNKNOWNS, Priors, moved, refine_views
 from ...capture import Capture
 from ...material.maps import SVBRDF
+from ...render import Renderer
 from ...views import Views
 from ..task import Refined
 from .stages import Stage
 
 # Rounds of a stage after which the flash moves to level the patch, and by how much of what that asks for.
 LEVELLED, DAMPED = {Stage.ALONE: (5, 7, 9)}, 0.65
-# rounds after which the views are refined
-REFINED = {Stage.ALONE: (12,), Stage.TOGETHER: (3, 5, 7, 9), Stage.FINE: (5,)}
+# rounds after which the views are refined; of FINE the last but one
+REFINED = {Stage.ALONE: (12,), Stage.TOGETHER: (3, 5, 7, 9)}
 TILTED = 0.03  # patch sides by which the flash seems moved where the patch is not level
 # How far stated ones of these are off is learned from the photos (empirical Bayes).
 LEARNED = [UNKNOWNS.index("camera_z"), UNKNOWNS.index("log_exposure")]
@@ -95,10 +96,10 @@ class ViewCorrections:
         variance = torch.tensor(self.usual.common_flash).double().square()
         flash += DAMPED * (variance / (variance + TILTED**2) * said - common)
 
-    def refine(self, svbrdf: SVBRDF, capture: Capture) -> None:
+    def refine(self, svbrdf: SVBRDF, capture: Capture, renderer: Renderer | None = None) -> None:
         """Refine camera and flash with the maps so far; stated views start at the earlier changes."""
         start = None if self.refined == "always" else self.change
-        found = refine_views(svbrdf, capture.views, capture, self.priors, self._steps, start)
+        found = refine_views(svbrdf, capture.views, capture, self.priors, self._steps, start, renderer)
         self.change, self.deviation = found.change, found.deviation
         self.flash_deviation = found.common_covariance.diagonal().sqrt()
         if self.refined == "unless exact":
