@@ -219,7 +219,7 @@ def texel_positions(resolution: int, dtype: torch.dtype = torch.float64, rows: s
 
 
 def strips(resolution: int) -> list[slice]:
-    """Rows of R x R texels in strips of at most :data:`STRIP` texels, so that what is made of them is small."""
+    """Rows of R x R texels in strips of at most :data:`STRIP` texels: what is made of these is small."""
     rows = max(1, STRIP // resolution)
     return [slice(first, min(first + rows, resolution)) for first in range(0, resolution, rows)]
 

@@ -191,7 +191,8 @@ class Problem:
         self.measured = capture.measured_at(side)
         if self.measured is not None:
             self.clipped |= ~self.measured[..., None]
-        self.renderer = renderer or AnalyticRenderer(torch.float64, Needs())  # everything: light and camera move apart
+        # Of everything: light and camera move apart.
+        self.renderer = renderer or AnalyticRenderer(torch.float64, Needs())
 
         self.step = STEP_FLOAT32 if renderer else STEP
         self.whitened = Layout(own=(count, CHANGE.size), common_flash=(2,))

@@ -93,7 +93,9 @@ def _robust(capture: Capture) -> Tensor:
                         for rows in strips(capture.resolution)], dim=1)
     # photos that show each texel; all where none does
     shows = None if capture.measured is None else (capture.measured | ~capture.measured.any(dim=0))[..., None]
-    known = torch.ones_like(most[..., :1]) if shows is None else (resized((~shows).float(), size) == 0).float()
+    known = torch.ones_like(most[..., :1])
+    if shows is not None:
+        known = (resized((~shows).float(), size) == 0).float()
     texels = [known, resized(albedo, size), most.mean(-1, True), light, half]
     texels = [x.flatten(1, 2).transpose(0, 1).squeeze(-1).contiguous() for x in texels]  # M x N (x 3)
     threads = torch.get_num_threads()

@@ -1,5 +1,6 @@
 """``mitsvbrdf render``: maps rendered for the views of a capture."""
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -11,6 +12,7 @@ from ..io import images, results
 from ..io.progress import say
 from ..material.map_files import MAP_FOLDERS
 from ..material.maps import SVBRDF
+from ..measure.rerender import batches
 from ..render import RendererName, make_renderer
 from . import options
 
@@ -46,7 +48,9 @@ def render(
     transfer = (fit.transfer or "gamma2.2") if transfer == "auto" else transfer
     engine = make_renderer(renderer, variant)
     with results.output_folder(out, overwrite) as folder:
-        for name, image in zip(names, engine.render(svbrdf, lit)):
-            images.write_linear(folder / name, image, color.to_display(image, transfer))
+        for part in batches(len(names), svbrdf.resolution):
+            shown = engine.render(svbrdf, lit.pick(part))
+            images.write_all([partial(images.write_linear, folder / names[k], image,
+                                      color.to_display(image, transfer)) for k, image in zip(part, shown)])
     say(f"wrote {len(names)} images of {options.name_of(maps)} to {out}")
     return 0

@@ -11,7 +11,7 @@ from ..material.encoding import NormalConvention
 from ..material.map_files import encodings, load_maps
 from ..material.maps import SVBRDF
 from ..measure.metrics import map_rmse
-from ..measure.rerender import rerender
+from ..measure.rerender import rerender_errors
 from ..render import Renderer
 from ..views import Views, shift_lights
 from .placement import placed
@@ -54,7 +54,7 @@ def evaluate_capture(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
     material = svbrdf.resized(capture.resolution)
 
     def errors(views: Views) -> dict:
-        _, total, each = rerender(renderer, material, views, capture)
+        total, each = rerender_errors(renderer, material, views, capture)
         return {"rerender_rmse": total, "per_photo": dict(zip(capture.names, each))}
 
     views = shift_lights(capture.views, flash_offset)

@@ -12,6 +12,7 @@ from ..views import Views
 
 HEIGHT = 2.0  # of the camera, above the centre, in patch sides
 LIGHTS = {"at the camera": (0.0, 0.0, HEIGHT), "beside it": (0.8, 0.3, HEIGHT), "oblique": (1.5, 0.0, 0.6)}
+TEXELS = 1024  # a side
 SIDE = 256  # pixels of the pictures, at most
 IRRADIANCE = math.pi / 2  # at the centre: white paper shows half of the largest display value's radiance
 
@@ -25,7 +26,12 @@ def three_lights() -> Views:
 
 
 def residual(svbrdf: SVBRDF, converted: SVBRDF) -> dict[str, float]:
-    """RMSE of converted maps (linear^(1/2.2)) and of pictures under :data:`LIGHTS` (sRGB)."""
+    """RMSE of converted maps (linear^(1/2.2)) and of pictures under :data:`LIGHTS` (sRGB).
+
+    Of large maps every k-th texel is looked at.
+    """
+    step = max(1, svbrdf.resolution // TEXELS)
+    svbrdf, converted = (each.map(lambda value: value[::step, ::step]) for each in (svbrdf, converted))
     errors = map_rmse(converted, svbrdf)
     renderer, views, side = AnalyticRenderer(), three_lights(), min(SIDE, svbrdf.resolution)
     wanted, shown = (renderer.render(each.as_roughconductor().to(torch.float32).resized(side), views)

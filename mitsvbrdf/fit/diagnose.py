@@ -16,7 +16,7 @@ from ..io.profile import profile_seconds, profiled
 from ..io.provenance import machine, versions
 from ..material.maps import COLOURS, SVBRDF
 from ..measure.burn_in import burn_in, local_burn_in
-from ..measure.rerender import rerender
+from ..measure.rerender import rerender, rerender_errors
 from ..render.needs import Omitted
 from ..views import Views, shift_lights
 from .confidence import UNKNOWN, Deviations, confidence, deviations
@@ -49,7 +49,7 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
     x, y = (moved.mean(dim=0)[:2] / views.size).tolist()
     calibration = views_record(capture, views, task.estimated, *method.views_deviation, told)
     stated = _stated_views(capture, views, (x, y), told)
-    calibrated_rmse = rerender(renderer, svbrdf, stated, capture)[1] if stated else None
+    calibrated_rmse = rerender_errors(renderer, svbrdf, stated, capture)[0] if stated else None
     profile = profile_seconds()
     record = {"schema_version": SCHEMA_VERSION, "method": method_name(config),
         "renderer": renderer.name, "variant": renderer.variant, "bsdf": svbrdf.bsdf,

@@ -17,7 +17,7 @@ from ..io.json import NUMBER, shape_error
 from ..io.profile import profiled
 from ..io.signals import stop_signals
 from ..material.maps import SVBRDF
-from ..measure.rerender import rerender
+from ..measure.rerender import rerender_errors
 from ..render import Renderer
 from ..views import Views
 from .checkpoint import differing, fingerprints, load_tensors, part, save_tensors
@@ -157,10 +157,10 @@ class Loop:
             svbrdf, views, capture = sample or (*self.method.estimate(), self.capture)
             self.whole = sample is None
             try:
-                images, rmse, _ = rerender(self.renderer, svbrdf, views, capture)
+                rmse, _ = rerender_errors(self.renderer, svbrdf, views, capture)
             except NotFiniteError as error:
                 return error.got
-            return (rmse, svbrdf, views) if finite(images) else "a re-rendered photo not finite"
+            return (rmse, svbrdf, views) if math.isfinite(rmse) else "a re-rendered photo not finite"
 
     def _undo(self, good: dict[str, Tensor], why: str) -> dict[str, Tensor]:
         self.undone.append({"iteration": self.iteration, "reason": why})

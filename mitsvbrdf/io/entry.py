@@ -3,11 +3,12 @@
 torch's default dtype belongs to the process, gradient and inference mode to the thread. Behind the edge the
 default dtype is float32, gradients are recorded where a function needs them, and no tensor is one of
 inference mode, which autograd refuses. A program's own default comes back when the last call, of whatever
-thread, is over.
+thread, is over. Where a program imported torch first, OpenMP's idle threads spin; torch has one thread then.
 """
 
 import contextlib
 import functools
+import os
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass, replace
@@ -21,6 +22,7 @@ from ..kinds import check_arguments
 P = ParamSpec("P")
 T = TypeVar("T")
 
+SPINS = os.environ.get("OMP_WAIT_POLICY", "").upper() != "PASSIVE"  # set where torch is not loaded yet
 _lock = threading.Lock()
 _calls = 0  # behind the edge, of all threads
 _default = torch.float32  # the default dtype that the first of them found
@@ -54,6 +56,10 @@ def _float32() -> Iterator[None]:
         if not _calls:
             _default = torch.get_default_dtype()
             torch.set_default_dtype(torch.float32)
+            if SPINS:
+                threads = torch.get_num_threads()
+                torch.set_num_threads(1)
+                _undo["threads"] = functools.partial(torch.set_num_threads, threads)
         _calls += 1
     try:
         yield

@@ -6,8 +6,10 @@ Photos with EXIF, HEIC or raw data are read by :mod:`mitsvbrdf.capture.photo`, w
 
 import contextlib
 import math
+import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +22,7 @@ from .colour_profile import is_rec709, to_rec709
 from .decode import check_size, header, picture, upright
 from .files import atomic_write, write_bytes
 
+BANDED = 64  # rows of a PNG that are rounded at a time
 BAND = 2**22  # pixels that are averaged at a time
 OUTSIDE = 1e-4  # of the brightest value, what a colour may lie outside of Rec. 709 by rounding
 # What a picture's channels are called; vectors, such as a renderer's normals, have X, Y, Z. Alpha and depth
@@ -197,6 +200,13 @@ def unmasked(opaque: np.ndarray, side: int) -> np.ndarray:
     return cv2.resize(masked, (side, side), interpolation=cv2.INTER_AREA) == 0
 
 
+def write_all(writes: Sequence[Callable[[], None]]) -> None:
+    """Write files side by side, on all cores: compressing them takes longest. The first error is raised."""
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        for done in [pool.submit(write) for write in writes]:
+            done.result()
+
+
 def write_exr(path: Path, image: Tensor) -> None:
     """A float32 EXR of an H x W x 3 (R, G, B) or H x W x 1 (Y) tensor, ZIP-compressed."""
     pixels = np.ascontiguousarray(image.detach().to(torch.float32).numpy())
@@ -228,7 +238,8 @@ def encode_png(image: Tensor, bits: int = 8) -> bytes:
 
     kind = np.uint8 if bits == 8 else np.uint16
     top = np.iinfo(kind).max
-    pixels = np.rint(image.detach().clamp(0, 1).to(torch.float64).numpy() * top).astype(kind)
+    pixels = np.concatenate([np.rint(rows.clamp(0, 1).to(torch.float64).numpy() * top).astype(kind)
+                             for rows in image.detach().split(BANDED)])
     pixels = pixels[..., [2, 1, 0, 3][:pixels.shape[2]]] if pixels.shape[2] > 1 else pixels
     return cv2.imencode(".png", np.ascontiguousarray(pixels))[1].tobytes()
 

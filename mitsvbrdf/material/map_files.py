@@ -5,9 +5,11 @@ writes ours.
 """
 
 import contextlib
+from functools import partial
 from pathlib import Path
 
 import torch.nn.functional as F
+from torch import Tensor
 
 from .. import color
 from ..errors import MapsError
@@ -100,11 +102,14 @@ def save_maps(svbrdf: SVBRDF, folder: str | Path) -> SVBRDF:
     folder = Path(folder)
     svbrdf = svbrdf.detach()
     both = dict(svbrdf.as_roughconductor().maps) | dict(svbrdf.maps)
-    for name, value in both.items():
+
+    def write(name: str, value: Tensor) -> None:
         linear = (value + 1) / 2 if name == "normal" else value
         images.write_exr(folder / f"{name}.exr", linear)
         images.write_png(folder / f"{name}.png", color.encode(linear, "srgb") if name in COLOURS else linear,
                          bits=16)
+
+    images.write_all([partial(write, *each) for each in both.items()])
     encoding = {name: code for name, code in ENCODINGS["srgb"].items() if name in both}
     files.write_json(folder / "material.json", {
         "bsdf": svbrdf.bsdf, "size": svbrdf.resolution, "encoding": encoding | {"normal": "(n+1)/2, +Y up"},

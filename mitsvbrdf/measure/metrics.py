@@ -76,7 +76,7 @@ def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "g
         raise CaptureError("re-rendered and real photos of one shape N x R x R x 3", shapes,
                            "render every view at the photos' resolution")
     count, side = photos.shape[:2]
-    total, share = torch.zeros(count, dtype=torch.float64), 1.0
+    total, share = torch.zeros(count, dtype=torch.float64), torch.ones(count, dtype=torch.float64)
     if measured is not None:
         share = measured.double().mean(dim=(1, 2)).clamp_min(1e-9)
     for rows in strips(side):

@@ -1,5 +1,7 @@
 """A material rendered for the photos of a capture, and its error: what every fit is judged by."""
 
+import math
+
 import torch
 from torch import Tensor
 
@@ -9,6 +11,8 @@ from ..render import Renderer
 from ..views import Views
 from .metrics import photo_rmse
 
+PIXELS = 2**24  # that are rendered together
+
 
 def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views,
              capture: Capture) -> tuple[Tensor, float, list[float]]:
@@ -16,3 +20,19 @@ def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views,
     with torch.no_grad():
         images = renderer.render(svbrdf, views)
     return images, *photo_rmse(images, capture.photos, capture.transfer, capture.measured)
+
+
+def rerender_errors(renderer: Renderer, svbrdf: SVBRDF, views: Views,
+                    capture: Capture) -> tuple[float, list[float]]:
+    """The errors of :func:`rerender` without the images, some views at a time."""
+    each = list[float]()
+    for part in batches(len(views), svbrdf.resolution):
+        shown = capture if len(part) == len(capture) else capture.pick([capture.index[k] for k in part])
+        each += rerender(renderer, svbrdf, views.pick(part), shown)[2]
+    return math.sqrt(sum(error**2 for error in each) / len(each)), each
+
+
+def batches(count: int, resolution: int) -> list[range]:
+    """Views that are rendered together, of so many: large images one by one."""
+    most = max(1, PIXELS // resolution**2)
+    return [range(first, min(first + most, count)) for first in range(0, count, most)]

@@ -211,6 +211,7 @@ def mirrored(svbrdf: SVBRDF) -> SVBRDF:
 @entry()
 def sphere(svbrdf: SVBRDF, size: int) -> Tensor:
     """The sphere as display values, size x size x 3; maps and mirror images cover it without a seam."""
+    svbrdf = svbrdf.resized(min(svbrdf.resolution, 2 * size))
     half = svbrdf.resolution // 2  # a whole patch faces the camera
     covering = mirrored(svbrdf).map(lambda value: value.roll((half, half), (0, 1)))
     with using_mitsuba() as mi:

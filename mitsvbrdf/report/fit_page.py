@@ -5,6 +5,7 @@ Beside it the page of its plausible detail, which is for pictures only.
 
 import dataclasses
 import os
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -52,8 +53,8 @@ def check_apart(folder: Path, capture: Capture) -> None:
 def keep_photos(folder: Path, capture: Capture) -> None:
     """The photos as ``photos/NN.png``: display values, 8 bits; OutputError among the capture's own."""
     check_apart(folder, capture)
-    for name, photo in zip(capture.names, capture.photos):
-        images.write_png(folder / "photos" / f"{name}.png", photo)
+    images.write_all([partial(images.write_png, folder / "photos" / f"{name}.png", photo)
+                      for name, photo in zip(capture.names, capture.photos)])
 
 
 def write_report(fit: Fit | str | Path, quick: bool = False, held_out: Capture | None = None,

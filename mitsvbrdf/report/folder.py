@@ -1,5 +1,6 @@
 """What a fit leaves on disk."""
 
+from functools import partial
 from pathlib import Path
 
 from .. import color
@@ -71,8 +72,7 @@ def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_ou
     shown = color.to_display(result.rerendered, capture.transfer)
     pictures = [("guess/diffuse", result.guess, color.to_display(result.guess, "srgb")),
                 *zip((f"rerendered/{name}" for name in capture.names), result.rerendered, shown)]
-    for name, linear, display in pictures:
-        write_linear(out / name, linear, display)
+    images.write_all([partial(write_linear, out / name, *both) for name, *both in pictures])
     title = f"{material_name(result)}: {result.method}, {result.svbrdf.bsdf}"
     sure = result.record["confidence"]
     remarks = {name: f"{sure[name]['determined_share']:.0%} determined" if name in sure else "held fixed"

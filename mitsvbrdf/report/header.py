@@ -27,8 +27,7 @@ def header(found: Fit, quick: bool) -> dict:
     of the patch or None.
     """
     try:
-        picture = picture_uri(sphere(found.svbrdf.resized(min(found.svbrdf.resolution, 2 * FULL)),
-                                    QUICK if quick else FULL))
+        picture = picture_uri(sphere(found.svbrdf, QUICK if quick else FULL))
     except BackendError:
         picture = None
     good, verdict = judged(found.record)

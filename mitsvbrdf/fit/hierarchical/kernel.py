@@ -27,6 +27,7 @@ DAMPING_RANGE = 1e-6, 1e6
 ROUNDING = 1e-5  # a cost that grows by less than this share has not grown: errors are differences of float32
 # a refused step no longer than this is one of a texel that has arrived: it leaves the damping alone
 STILL = 1e-4
+TILE = 2**18  # texels that are solved at once, so that what is made of them stays small
 FREE = 1.0  # damping up to which a step that short ends the search: it was not held back
 
 
@@ -35,9 +36,9 @@ class Kernel:
 
     :attr:`steps`, :attr:`posterior` and :attr:`equations` stand behind the methods of
     :class:`~mitsvbrdf.fit.hierarchical.solver.TexelSolver`. Their ``problem`` has the Dr.Jit arrays
-    ``photos``, ``views`` (cameras, lights, intensities), ``count`` (of the views), ``weight`` (1 / noise^2)
-    and ``fixed`` (maps), and where they are asked for ``scale`` (of the robust cost) and ``weights`` (of
-    pixels).
+    ``photos``, ``first`` (texel of the tile), ``views`` (cameras, lights, intensities), ``count`` (of the
+    views), ``weight`` (1 / noise^2) and ``fixed`` (maps of the tile), and where they are asked for ``scale``
+    (of the robust cost) and ``weights`` (of pixels).
 
     Args:
         mi: the ``mitsuba`` module with the variant to use.
@@ -51,7 +52,8 @@ class Kernel:
                  falloff: Falloff, transfer: color.Transfer) -> None:
         self.mi, self.unknowns, self.needs = mi, unknowns, needs
         self.side, self.falloff, self.transfer = side, falloff, transfer
-        self.texels, self.size = side * side, unknowns.size
+        self.rows = min(side, max(1, TILE // side))  # solved at once
+        self.texels, self.size = self.rows * side, unknowns.size
         self.columns = columns_of(unknowns)
         self.pairs = pairs_of(self.columns)
         self.shader = HeldPlugin(mi, bsdf, needs)
@@ -104,7 +106,7 @@ class Kernel:
         *_, curve = self._linearised(problem, x, dr.float64_array_t(self.mi.Float))
         lower = cholesky.factor(self._matrix(curve, precision), self.size)
         found = [*cholesky.inverse_diagonal(lower, self.size), cholesky.log_determinant(lower, self.size)]
-        return [self.mi.Float(v) for v in found]
+        return [[self.mi.Float(v) for v in found]]
 
     def _equations(self, problem: dict, x: list) -> list:
         cost, slope, curve = self._linearised(problem, x)
@@ -139,7 +141,7 @@ class Texels:
         import drjit as dr
 
         mi, self.kernel, self.problem, self.kind = kernel.mi, kernel, problem, kind
-        self.index = dr.arange(mi.UInt32, kernel.texels)
+        self.index = problem["first"] + dr.arange(mi.UInt32, kernel.texels)
         self.place = texel_position(mi, self.index, kernel.side)
         self.maps, self.stretch = traced_maps(mi, kernel.unknowns, x, problem["fixed"])
         Vector: Any = dr.float64_array_t(mi.Vector3f)
@@ -194,7 +196,7 @@ class Texels:
         """Errors of the display values of a view, their weights, and their part of the cost."""
         import drjit as dr
 
-        problem, place = self.problem, view * self.kernel.texels + self.index
+        problem, place = self.problem, view * self.kernel.side**2 + self.index
         photo = dr.gather(self.kernel.mi.Color3f, problem["photos"], place)
         error = shown - photo
         weight = dr.select((photo >= CLIPPED) & (error > 0), 0, problem["weight"])

@@ -85,8 +85,8 @@ def trust(views: Views, roughness: Tensor, reach: float) -> Tensor:
     side, parts = roughness.shape[-1], []
     for rows in strips(side):
         sine2 = geometry(views, side, rows)[1][..., :2].square().sum(-1)
-        parts.append((1 / (1 + sine2 / (1 - sine2) / (reach * roughness[rows]**2) ** 2)).clamp_min(TAIL_FLOOR))
-    return torch.cat(parts, dim=1)
+        parts.append(1 / (1 + sine2 / (1 - sine2) / (reach * roughness[rows]**2) ** 2))
+    return torch.cat(parts, dim=1).clamp_min(TAIL_FLOOR)
 
 
 def without_burn_in(planes: Tensor, views: Views, trusted: Tensor) -> Tensor:

@@ -184,7 +184,7 @@ class Hierarchical(Method[HierarchicalConfig]):
             self.answer, slope = self.prior.levelled(self.answer)
             self.corrections.level(slope)
         work = self.corrections.work * self.scale.texels
-        refined = (self.stages.last - 1,) if stage == Stage.FINE and self.stages.tied else REFINED.get(stage, ())
+        refined = (self.stages.last - 1,) if stage == Stage.FINE else REFINED.get(stage, ())
         if rounds in refined and self.corrections.begun(self.budget.in_time(work, "views")):
             with profiled("views"), self.budget.timed("views", work):
                 if sloped and stage != Stage.FINE:

@@ -10,7 +10,7 @@ of the others).
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Any, SupportsFloat
@@ -152,12 +152,12 @@ class TexelSolver:
             mean, precision: of the prior (1 / variance), U x R x R; 0 for none.
             iterations: steps to take.
         """
-        side = x.shape[-1]
         with using_mitsuba(self.variant) as mi:
-            moved, (damping, data, prior) = self._found(side, x, self._kernel(observations, side).steps(
-                self._problem(observations, side), self._planes(x), *self._planes(damping[None]),
-                self._planes(mean), self._planes(precision), [opaque(mi, v) for v in low],
-                [opaque(mi, v) for v in high], opaque(mi, iterations)))
+            bounds = *([opaque(mi, v) for v in bound] for bound in (low, high)), opaque(mi, iterations)
+            steps = self._kernel(observations, x.shape[-1]).steps
+            moved, (damping, data, prior) = self._tiled(
+                observations, lambda problem, x, damping, mean, precision: steps(
+                    problem, x, damping[0], mean, precision, *bounds), x, damping[None], mean, precision)
         return Solved(moved, damping, data, prior)
 
     def variances(self, observations: Observations, x: Tensor, precision: Tensor) -> Tensor:
@@ -170,9 +170,8 @@ class TexelSolver:
     def posterior(self, observations: Observations, x: Tensor, precision: Tensor) -> tuple[Tensor, Tensor]:
         """:meth:`variances`, and the log determinant of J^T W J + precision, R x R."""
         with using_mitsuba(self.variant):
-            found = to_torch(self._kernel(observations, x.shape[-1]).posterior(
-                self._problem(observations, x.shape[-1]), self._planes(x), self._planes(precision)))
-        found = found.reshape(-1, *x.shape[1:]).to(x.device)
+            posterior = self._kernel(observations, x.shape[-1]).posterior
+            (found,) = self._tiled(observations, posterior, x, precision)
         return found[:-1], found[-1]
 
     def normal_equations(self, observations: Observations, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -184,17 +183,33 @@ class TexelSolver:
         side, count = x.shape[-1], len(x)
         with using_mitsuba(self.variant):
             pairs = self._kernel(observations, side).pairs
-            (cost,), slope, curve = self._found(side, x, self._kernel(observations, side).equations(
-                self._problem(observations, side), self._planes(x)))
+            (cost,), slope, curve = self._tiled(observations, self._kernel(observations, side).equations, x)
         dense = curve.new_zeros(count, count, side, side)
         for (i, j), value in zip(pairs, curve):
             dense[i, j] = dense[j, i] = value
         return cost, slope, dense
 
-    @staticmethod
-    def _found(side: int, x: Tensor, parts: Sequence[list]) -> Iterator[Tensor]:
-        """Copies of the results of a kernel, each ? x R x R; no Dr.Jit array outlives the call."""
-        return iter([to_torch(part).reshape(-1, side, side).to(x.device) for part in parts])
+    def _tiled(self, observations: Observations, kernel: Callable[..., Sequence[list]],
+               *planes: Tensor) -> list[Tensor]:
+        """Copies of what a kernel makes of planes ? x R x R, each ? x R x R, by tiles of rows.
+
+        The last tile begins early enough to be as large as the others. No Dr.Jit array outlives the call.
+        """
+        side, found = planes[0].shape[-1], list[Tensor]()
+        problem, rows = self._problem(observations, side), self._kernel(observations, side).rows
+        fixed = problem.pop("fixed")
+        for first in range(0, side, rows):
+            of = slice(min(first, side - rows), min(first, side - rows) + rows)
+            here = problem | {"first": opaque(self.mi, of.start * side), "fixed": {
+                name: self._planes(value[:, of]) for name, value in fixed.items()}}
+            parts = [to_torch(part).reshape(-1, rows, side).to(planes[0].device)
+                     for part in kernel(here, *(self._planes(plane[:, of]) for plane in planes))]
+            if rows == side:
+                return parts
+            found = found or [part.new_empty(len(part), side, side) for part in parts]
+            for whole, part in zip(found, parts):
+                whole[:, of] = part
+        return found
 
     def _planes(self, values: Tensor) -> list:
         return [from_torch(self.mi, plane) for plane in values.detach().float()]
@@ -207,13 +222,13 @@ class TexelSolver:
                        if name in self.fixed}
 
     def _problem(self, observations: Observations, side: int) -> dict:
-        """The observations and the fixed maps as Dr.Jit arrays, for a kernel."""
+        """The observations as Dr.Jit arrays, and the fixed maps, C x R x R, for a kernel."""
         mi, views = self.mi, observations.views.in_patch_sides().to(torch.float64)
         _, fixed = self._known(observations.views, side)
         problem = {"photos": from_torch(mi, observations.photos.float()), "count": opaque(mi, len(views)),
                    "weight": opaque(mi, observations.noise**-2.0),
                    "views": [from_torch(mi, v) for v in (views.camera, views.light, views.intensity)],
-                   "fixed": {name: self._planes(value.permute(2, 0, 1)) for name, value in fixed.items()}}
+                   "fixed": {name: value.permute(2, 0, 1) for name, value in fixed.items()}}
         if observations.robust is not None:
             problem["scale"] = opaque(mi, float(observations.robust))
         if observations.weights is not None:
