@@ -24,11 +24,12 @@ def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views,
 
 def rerender_errors(renderer: Renderer, svbrdf: SVBRDF, views: Views,
                     capture: Capture) -> tuple[float, list[float]]:
-    """The errors of :func:`rerender` without the images, some views at a time."""
+    """The errors of :func:`rerender` without the images; NaN where one is not finite."""
     each = list[float]()
     for part in batches(len(views), svbrdf.resolution):
         shown = capture if len(part) == len(capture) else capture.pick([capture.index[k] for k in part])
-        each += rerender(renderer, svbrdf, views.pick(part), shown)[2]
+        images, _, errors = rerender(renderer, svbrdf, views.pick(part), shown)
+        each += [error if image.isfinite().all() else math.nan for image, error in zip(images, errors)]
     return math.sqrt(sum(error**2 for error in each) / len(each)), each
 
 
