@@ -35,6 +35,7 @@ def test_a_whole_round(options, losses, shots, tmp_path, capsys):
     assert not results.partial_folder(out).exists()
     record = json.loads((out / "fit.json").read_text())
     assert record["schema_version"] == 1 and record["stopped"] in ("iterations", "settled")
+    assert record["seed"] == 0
     assert record["renderer"] == "mitsuba" and record["variant"] == "llvm_ad_rgb" and record[
         "bsdf"] == "roughconductor"
     assert record["versions"]["mitsuba"] and record["machine"]["libllvm"] and record["omitted"]
