@@ -12,6 +12,7 @@ from torch import Tensor
 from .. import color
 from ..errors import AssumedWarning, MapsError, MapsWarning
 from ..io import images
+from ..io.decode import header
 from .conversion import FULL_LEVEL, as_shown
 from .encoding import ENCODINGS, NormalConvention, asked_codes, read_material_json
 from .maps import CHANNELS, COLOURS, SVBRDF, Bsdf
@@ -73,12 +74,19 @@ def find_maps(folder: Path, encoding: str | None = None, normal: NormalConventio
         folder = folder / "textures"
         chosen, passed = sources(folder)
     about = read_material_json(folder)
-    strip = next((path for name in STRIPS if (path := folder / name).is_file()), None)
+    named = (path for name in STRIPS if (path := folder / name).is_file())
+    strip = next(named, passed[0] if len(passed) == 1 and not chosen and _is_strip(passed[0]) else None)
     if "diffuse" not in chosen and strip and about.get("bsdf") != "principled":
         return strip_set(strip, about.get("encoding", {}) | asked)
     habit = "gamma 2.2" if is_of_field(chosen) else "srgb"
     return MapSet(folder, chosen, about.get("encoding", {}) | asked, habit, about.get("bsdf"),
                   tuple(path.name for path in passed))
+
+
+def _is_strip(path: Path) -> bool:
+    """Whether the only picture of a folder is four or five squares side by side."""
+    width, height = header(path, MapsError).size
+    return width in (4 * height, 5 * height)
 
 
 def strip_set(path: Path, stated: Mapping[str, str]) -> MapSet:
