@@ -1,6 +1,7 @@
 """Error measures: pure functions of tensors, no files and no rendering. All sums are float64."""
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
@@ -83,8 +84,13 @@ def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "g
         shown = color.to_display(rerendered[:, rows].detach().double(), transfer)
         squares = (shown - color.clip(photos[:, rows].double())).square()
         total += (squares if measured is None else squares * measured[:, rows, :, None]).sum(dim=(1, 2, 3))
-    squares = total / share / photos[0].numel()
-    return math.sqrt(squares.mean()), squares.sqrt().tolist()
+    each = (total / share / photos[0].numel()).sqrt().tolist()
+    return of_all(each), each
+
+
+def of_all(each: Sequence[float]) -> float:
+    """The RMSE of all photos, of those of each."""
+    return math.sqrt(sum(error**2 for error in each) / len(each))
 
 
 def image_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> dict[str, float]:

@@ -9,7 +9,7 @@ from ..capture import Capture
 from ..material.maps import SVBRDF
 from ..render import Renderer
 from ..views import Views
-from .metrics import photo_rmse
+from .metrics import of_all, photo_rmse
 
 PIXELS = 2**24  # that are rendered together
 
@@ -30,7 +30,7 @@ def rerender_errors(renderer: Renderer, svbrdf: SVBRDF, views: Views,
         shown = capture if len(part) == len(capture) else capture.pick([capture.index[k] for k in part])
         images, _, errors = rerender(renderer, svbrdf, views.pick(part), shown)
         each += [error if image.isfinite().all() else math.nan for image, error in zip(images, errors)]
-    return math.sqrt(sum(error**2 for error in each) / len(each)), each
+    return of_all(each), each
 
 
 def batches(count: int, resolution: int) -> list[range]:

@@ -149,7 +149,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         steps = self.budget.steps(STEPS, self.budget.to_come) if fine else STEPS
         others = FAR_STEPS if lobes else OTHER_STEPS
         self.cut, (answer, cost) = steps < STEPS, self._scored(self.answer, steps)
-        self.stages.moved(float(((answer.x - self.answer.x).abs().amax(dim=0) > MOVED).float().mean()))
+        moved = ((answer.x - self.answer.x).abs().amax(dim=0) > MOVED).float().mean()
         first = cost.mean()
         starts = lobes.starts(answer, turn) if lobes else other_starts(self.prior, turn)
         for start in starts if self.config.neighbours and self.stages.others else ():
@@ -159,7 +159,9 @@ class Hierarchical(Method[HierarchicalConfig]):
             other, its = self._scored(start(answer), others)
             better = its < cost * (1 - LESS)
             answer, cost = answer.where(better, other), torch.where(better, its, cost)
-        self.stages.saved(float((first - cost.mean()) / first))
+        if not self.cut:
+            self.stages.moved(float(moved))
+            self.stages.saved(float((first - cost.mean()) / first))
         last = (TRIED * others + LAST_STEPS) * self.scale.texels
         if lobes and self.stages.settled and not self.cut and self.budget.in_time(last):
             answer = lobes.averaged(answer, cost, partial(self._scored, steps=others))

@@ -11,6 +11,7 @@ from mitsvbrdf.fit.hierarchical import (
     real_photos,
     scales,
     specular_test,
+    stages,
     starts,
 )
 from mitsvbrdf.fit.hierarchical.omitted import CROSS_VALIDATION, VIEWS
@@ -46,6 +47,8 @@ def shots():
 def timed(shots, monkeypatch):
     """Makes a fit of photos of a phone that runs by such a clock."""
     monkeypatch.setattr(scales, "COARSE", SIDE // 2)
+    for enough in ("CALM", "WORTH"):  # only the clock ends rounds
+        monkeypatch.setattr(stages, enough, -1.0)
 
     def made(budget, **settings):
         method, clock = method_of(shots, budget=budget, **({"exact": False} | settings)), Clock()
@@ -56,8 +59,8 @@ def timed(shots, monkeypatch):
 
         for where in (observations, real_photos, cross_validation, specular_test):
             monkeypatch.setattr(where, "stepped", stepped)
-        monkeypatch.setattr(method.corrections, "refine", lambda maps, _: clock.work("views", maps.resolution,
-                                                                               method.corrections.work))
+        monkeypatch.setattr(method.corrections, "refine", lambda maps, *_: clock.work(
+            "views", maps.resolution, method.corrections.work))
         method.budget.clock = clock
         return method, clock
 
