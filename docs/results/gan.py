@@ -161,7 +161,8 @@ def page(record: dict) -> str:
 
 RMSE of maps encoded to 0 to 1, mean of six materials, median of three seeds (`gan` at 300 s: one), 128 px \
 where nothing else is said. `gan` begins at the guess, but in "From solved maps". The adversarial loss is \
-worth more than all else; specular is what it makes worse. Feature matching took the mean after 30 s from {matched[0]:.4f} to {matched[1]:.4f} (two seeds).
+worth more than all else; specular is what it makes worse. Feature matching took the mean after 30 s from \
+{matched[0]:.4f} to {matched[1]:.4f} (two seeds).
 
 {as_markdown(game(record))}
 
@@ -172,7 +173,8 @@ worth more than all else; specular is what it makes worse. Feature matching took
 {as_markdown(solved(record))}
 
 Mean of {len(fits)} known materials, 64 px, 200 steps, one seed. The game's change was kept in \
-{sum(4 - len(r["stayed"]) for r in fits)} of {4 * len(fits)} maps: held-out photos are predicted no better with it.
+{sum(4 - len(r["stayed"]) for r in fits)} of {4 * len(fits)} maps: held-out photos \
+are predicted no better with it.
 
 ## Maps that others published
 
