@@ -21,7 +21,7 @@ from mitsvbrdf.material.map_files import load_maps
     marks=pytest.mark.slow)])
 def test_a_whole_round(options, losses, shots, tmp_path, capsys):
     out = tmp_path / "out"
-    assert cli.main(["fit", str(shots), "-o", str(out), "--iterations", "12", "--resolution", "48",
+    assert cli.main(["fit", str(shots), "-o", str(out), "--iterations", "6", "--resolution", "48",
                      *options]) == 0
     (wrote,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith(f"wrote {out}/"))
     named = wrote.removeprefix(f"wrote {out}/").split(", ")
@@ -34,8 +34,7 @@ def test_a_whole_round(options, losses, shots, tmp_path, capsys):
     assert {"sheet.png", "scene.xml", "fit.json", "checkpoint.safetensors"} <= written
     assert not results.partial_folder(out).exists()
     record = json.loads((out / "fit.json").read_text())
-    assert record["schema_version"] == 1 and record["stopped"] in ("iterations", "settled")
-    assert record["seed"] == 0
+    assert record["schema_version"] == 1 and record["stopped"] == "iterations" and record["seed"] == 0
     assert record["renderer"] == "mitsuba" and record["variant"] == "llvm_ad_rgb" and record[
         "bsdf"] == "roughconductor"
     assert record["versions"]["mitsuba"] and record["machine"]["libllvm"] and record["omitted"]
