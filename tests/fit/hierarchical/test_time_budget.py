@@ -15,7 +15,7 @@ from mitsvbrdf.fit.hierarchical import (
     starts,
 )
 from mitsvbrdf.fit.hierarchical.omitted import CROSS_VALIDATION, VIEWS
-from mitsvbrdf.fit.hierarchical.stages import Stage, Stages
+from mitsvbrdf.fit.hierarchical.stages import ROUNDS, Stage, Stages
 from mitsvbrdf.fit.hierarchical.time_budget import LAST_STEPS, OTHER_STEPS, STEPS, TimeBudget
 from mitsvbrdf.fit.hierarchical.view_corrections import ViewCorrections
 from mitsvbrdf.material.made import make_material
@@ -146,13 +146,17 @@ def test_the_turns_are_foreseen_as_they_are_made(timed):
     assert {side for _, side, _ in clock.calls} == {method.scales.of(Stage.ALONE).capture.resolution}
 
 
-def test_a_round_that_was_cut_is_made_again(timed):
+def test_a_round_that_was_cut_is_made_again_and_tells_nothing(timed, monkeypatch):
     method, clock = timed(AMPLE)
     while (method.stages.stage, method.stages.rounds) != (Stage.FINE, 1):
         method.step(0.0)
     method.budget.end = clock.now + LAST_STEPS + STEPS + OTHER_STEPS
     clock.calls.clear()
-    method.step(0.5)
+    with monkeypatch.context() as patch:
+        for enough in ("CALM", "WORTH"):  # any whole round would tell that nothing more is to be won
+            patch.setattr(stages, enough, 2.0)
+        method.step(0.5)
+    assert method.stages.others and method.stages.last == ROUNDS[Stage.FINE]
     assert clock.calls == [("solver", SIDE, STEPS),
                            ("solver", SIDE, OTHER_STEPS)] and method.stages.rounds == 1
     method.step(0.5)
@@ -216,3 +220,31 @@ def test_the_pace():
     later.begin(0.5)  # by the number of iterations, say
     assert later.end == clock.now + 20 - (10 - (8 - clock.now))
     assert again.rates == pace.rates and again.in_time(1e9) and again.to_come == LAST_STEPS
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_the_last_stage_of_real_photos_ends_by_what_its_rounds_tell(exact):
+    found = Stages(multi_start=True, stated=exact)
+    found.judge(torch.ones(2))
+    found.enter(Stage.FINE)
+    found.begin_round()
+    found.moved(2 * stages.CALM)
+    found.saved(2 * stages.WORTH)
+    assert found.last == ROUNDS[Stage.FINE] and found.others
+    found.moved(stages.CALM / 2)
+    found.saved(stages.WORTH / 2)
+    assert (found.last, found.others) == ((ROUNDS[Stage.FINE], True) if exact else (2, False))
+    again = Stages(multi_start=True)
+    again.load_state(found.state())
+    assert (again.last, again.others) == (found.last, found.others)
+
+
+def test_measurements_before_full_size_look_at_pixels_of_the_photos(shots, timed):
+    method, _ = timed(AMPLE)
+    svbrdf, _, seen = method.glimpse()
+    assert svbrdf.resolution == seen.resolution == SIDE // 2
+    pixels = {tuple(pixel) for pixel in shots.photos.flatten(0, 2).tolist()}
+    assert {tuple(pixel) for pixel in seen.photos.flatten(0, 2).tolist()} <= pixels  # none is an average
+    while method.stages.stage != Stage.FINE:
+        method.step(0.0)
+    assert method.glimpse() is None
