@@ -26,6 +26,7 @@ from .tag_search import LEAST_TAGS
 # side; without it a phone is somewhere between its wide and its tele lens. The principal point as a share of
 # the long side.
 FOCAL_SHARE, FOCAL_SHARE_UNKNOWN, CENTRE_SD, DISTORTION_SD = 0.05, 0.4, 0.005, 0.1
+FOCAL_SHARE_STILL = 1e-4  # of photos from one place, which do not tell it from the distance
 NOISE = 2e-5  # of the long side: what points on edges are off by in good photos, 0.08 pixels of 4000
 # errors of a photo that are too large: as a share of the long side, and beside the others
 LARGE, TIMES_MEDIAN = 5e-4, 6.0
@@ -68,7 +69,8 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
     still = _still(seen)
     depth_cm *= not still  # what is rectified shows all in the plane of the sheet
     size = photos[0].size
-    start = expected_lens(size, stated), FOCAL_SHARE if stated else FOCAL_SHARE_UNKNOWN
+    share = FOCAL_SHARE_STILL if still else FOCAL_SHARE if stated else FOCAL_SHARE_UNKNOWN
+    start = expected_lens(size, stated), share
     while True:
         check_enough(seen, rejected, "that show the sheet",
                      "take photos with all tags in view, sharp; where no sheet lies there, omit --sheet")
