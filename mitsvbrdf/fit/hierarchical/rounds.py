@@ -205,7 +205,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         sharp = self.scales.of(Stage.ALONE).capture
         if self.scale.capture.resolution == self.capture.resolution:
             return None
-        return self.preview(), self.corrections.applied(self.views), sharp
+        return self.preview().resized(sharp.resolution), self.corrections.applied(self.views), sharp
 
     def preview(self) -> SVBRDF:
         """The present answer as it is, at the size of the present stage."""

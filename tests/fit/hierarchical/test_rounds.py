@@ -10,7 +10,7 @@ from helpers.hierarchical_fits import left_alone, method_of
 from mitsvbrdf import color
 from mitsvbrdf.fit import FitTask, HierarchicalConfig, fit_svbrdf, make_method
 from mitsvbrdf.fit.checkpoint import load_tensors
-from mitsvbrdf.fit.hierarchical import Hierarchical, stages
+from mitsvbrdf.fit.hierarchical import Hierarchical, scales, stages
 from mitsvbrdf.fit.hierarchical.stages import Stage
 from mitsvbrdf.fit.loop import Loop
 from mitsvbrdf.material.maps import CHANNELS
@@ -55,6 +55,14 @@ def test_a_round_raises_no_texels_cost(exact, capture, monkeypatch):
 def test_the_same_fit_twice(two_stages, phone, capture):
     first, second = (fit_svbrdf(capture, MITSUBA, HierarchicalConfig(iterations=8)) for _ in range(2))
     assert all(torch.equal(first.svbrdf[name], second.svbrdf[name]) for name in CHANNELS["roughconductor"])
+
+
+def test_photos_whose_side_is_no_multiple_of_the_coarse_one(phone, capture, monkeypatch):
+    monkeypatch.setattr(scales, "COARSE", 12)  # of 32: area averages have 12 px, every second pixel 16
+    method = left_alone(capture)
+    svbrdf, _, seen = method.glimpse()
+    assert method.stages.stage == Stage.TOGETHER and method.preview().resolution == 12
+    assert svbrdf.resolution == seen.resolution == 16
 
 
 @pytest.mark.parametrize("kind", ["exact", pytest.param("phone", marks=pytest.mark.slow)])
