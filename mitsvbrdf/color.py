@@ -107,6 +107,15 @@ def decode(display: Tensor, transfer: Transfer = "gamma2.2") -> Tensor:
     return response(transfer).decode(display, _torch())
 
 
+def shown(stored: Tensor) -> Tensor:
+    """Display values in [0, 1], float32, of pixels kept as 8 or 16 bits; floats as they are."""
+    if stored.is_floating_point():
+        return stored
+    import torch
+
+    return stored.float() / torch.iinfo(stored.dtype).max
+
+
 def clip(display: Tensor) -> Tensor:
     """Display values as a camera stores them: cut to [0, 1]."""
     return display.clamp(0.0, 1.0)

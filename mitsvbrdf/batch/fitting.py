@@ -13,7 +13,6 @@ import threading
 import time
 import traceback
 from collections.abc import Iterator
-from dataclasses import replace
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -109,7 +108,7 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
     made = rectified(capture, out / "capture", asked["sheet"], transfer)
     photos = read_capture(made, options.resolution, transfer=transfer if made == capture else None,
                           falloff=options.light(config))
-    photos = replace(photos, source=capture)  # what it is called
+    photos = photos.but(source=capture)  # what it is called
     shots, shown = options.chosen(photos)
     engine = _renderer(options.renderer, options.variant)
     result = fit_svbrdf(shots, engine, config)

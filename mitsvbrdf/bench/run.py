@@ -191,7 +191,7 @@ def fit(capture: Capture, renderer: Renderer, config: FitConfig,
     step.
     """
     def lit(shots: Capture) -> Capture:
-        return replace(shots, views=replace(shots.views, falloff=config.falloff))
+        return shots.but(views=replace(shots.views, falloff=config.falloff))
 
     result = fit_svbrdf(lit(capture), renderer, config, report=lambda entry, share: report(share))
     if result.stopped == "interrupted":

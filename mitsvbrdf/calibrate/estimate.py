@@ -17,7 +17,7 @@ Without it real photos seem taken from half as far.
 """
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
@@ -95,7 +95,7 @@ def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
         return capture, None
     why = why_not(capture)
     if why:
-        return replace(capture, notes=(*capture.notes, f"views not estimated: {why}; the default geometry "
+        return capture.but(notes=(*capture.notes, f"views not estimated: {why}; the default geometry "
                                                        "stays")), None
     found = estimate_views(capture)
     height = float(found.views.camera[:, 2].mean()) / found.views.size
@@ -103,7 +103,7 @@ def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
     note = (f"views estimated from the photos alone: cameras about {height:.2f} patch sides away, to about "
             f"{z:.2f}, and sideways to {max(x, y):.2f}; the light power to a factor of "
             f"{math.exp(POWER):.1f}")
-    return replace(capture, views=found.views, notes=(*capture.notes, note)), found
+    return capture.but(views=found.views, notes=(*capture.notes, note)), found
 
 
 @entry()

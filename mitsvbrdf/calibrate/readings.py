@@ -18,6 +18,7 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor
 
+from .. import color
 from ..capture import Capture
 from ..color import CLIPPED
 from ..errors import LARGEST, ConfigError
@@ -88,7 +89,7 @@ class Reading:
                               "omit these")
         views = self.of_views(capture.views)
         views.check()
-        return replace(capture, views=views)
+        return capture.but(views=views)
 
     def of_views(self, views: Views) -> Views:
         """The views read like this."""
@@ -114,8 +115,10 @@ def doubts(capture: Capture) -> Doubts | None:
     if capture.calibration != "given" or len(capture) < LEAST_PHOTOS:
         return None
     side = min(READING_SIDE, capture.resolution)
-    light = F.adaptive_avg_pool2d(capture.linear.double().mean(dim=-1), side)
-    seen = F.adaptive_max_pool2d(capture.photos.amax(dim=-1), side) < CLIPPED
+    light, seen = map(torch.cat, zip(*(
+        (F.adaptive_avg_pool2d(color.decode(photo, capture.transfer).double().mean(dim=-1)[None], side),
+         F.adaptive_max_pool2d(photo.amax(dim=-1)[None], side) < CLIPPED)
+        for photo in map(capture.photo, range(len(capture))))))
     views = replace(capture.views.to(torch.float64), falloff="inverse-square")
     height = float(views.light[:, 2].median()) / views.size
     sides = [None, *(views.size * 10.0**k for k in range(-3, 4)

@@ -31,6 +31,7 @@ from ..io.entry import entry
 from ..io.layout import Layout
 from ..kinds import check_fields
 from ..material.maps import SVBRDF
+from ..material.resample import resized
 from ..render import Renderer
 from ..render.analytic import AnalyticRenderer
 from ..render.needs import Needs
@@ -183,11 +184,14 @@ class Problem:
             raise CaptureError(f"a view for each of {len(capture)} photos", f"{count} views",
                                "give the views of these photos")
         side = min(REFINE_SIDE, svbrdf.resolution, capture.resolution)
-        self.maps = svbrdf.detach().to(torch.float64).resized(side)
+        maps = svbrdf.detach().map(lambda value: resized(value.double(), side))
+        self.maps = maps if side == svbrdf.resolution else SVBRDF(svbrdf.bsdf, {
+            **maps.maps, "normal": F.normalize(maps["normal"], dim=-1)})
         self.given, self.transfer = views.to(torch.float64), capture.transfer
-        photos = capture.photos.double().permute(0, 3, 1, 2)
-        self.photos = F.adaptive_avg_pool2d(photos, side).permute(0, 2, 3, 1)
-        self.clipped = F.adaptive_max_pool2d(photos, side).permute(0, 2, 3, 1) >= CLIPPED  # in part, too
+        self.photos, most = (torch.cat(pooled).permute(0, 2, 3, 1) for pooled in zip(*(
+            (F.adaptive_avg_pool2d(photo, side), F.adaptive_max_pool2d(photo, side))
+            for photo in (capture.photo(row)[None].double().permute(0, 3, 1, 2) for row in range(count)))))
+        self.clipped = most >= CLIPPED  # in part, too
         self.measured = capture.measured_at(side)
         if self.measured is not None:
             self.clipped |= ~self.measured[..., None]

@@ -19,7 +19,7 @@ from msgspec import Meta
 from .. import color
 from ..errors import CaptureError
 from ..io.decode import header, picture, upright
-from ..io.images import averaged, unmasked
+from ..io.images import averaged, display, unmasked
 from ..io.json import error_text, load
 from ..views import Falloff, Views, default_views
 from .capture import LEAST_SIDE, Calibration, Capture, Converted, converted, notes_of
@@ -137,7 +137,7 @@ def from_text(folder: Path, falloff: Falloff, resolution: int | None) -> Capture
 def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index: list[int], source: Path,
                 resolution: int | None, calibration: Calibration = "given",
                 told: dict[str, Converted] | None = None) -> Capture:
-    """The capture; one photo at a time is decoded, and shrunk before the next one.
+    """The capture; one photo at a time is decoded, and shrunk before the next one, or kept as stored.
 
     ``told`` is what the maker of the capture has converted.
     """
@@ -147,17 +147,25 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
     if (held := len(paths) * kept**2) > MOST_HELD:
         raise CaptureError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together",
                            f"{held / 1e6:.0f} in {source}", "read them at a lower resolution")
-    photos, outside = torch.empty(len(paths), kept, kept, 3), {}
-    for photo, path, about in zip(photos, paths, headers):
+    photos, outside = np.empty(0), {}
+    for row, (path, about) in enumerate(zip(paths, headers)):
         found = picture(path, CaptureError)
-        photo.numpy()[:] = averaged(upright(found.pixels, about.orientation), kept)
+        pixels = upright(found.pixels, about.orientation)
+        if kept < side or found.opaque is not None:
+            pixels = averaged(pixels, kept)
+        if not row:
+            photos = np.empty((len(paths), kept, kept, 3), pixels.dtype)
+        elif pixels.dtype != photos.dtype:
+            photos, pixels = display(photos), display(pixels)
+        photos[row] = pixels
         if found.opaque is not None:
-            photo.numpy()[~unmasked(upright(found.opaque, about.orientation), kept)] = np.nan
+            photos[row][~unmasked(upright(found.opaque, about.orientation), kept)] = np.nan
         outside[path.name] = found.outside
-    photos, measured = (photos, None) if photos.isfinite().all() else filled(list(photos.numpy()))
+    whole = bool(np.isfinite(photos).all())
+    pictures, measured = (torch.from_numpy(photos), None) if whole else filled(list(photos))
     colours = {**(told or {}),
                **converted({path.name: about.profile for path, about in zip(paths, headers)}, outside)}
-    return Capture(photos, views, transfer, tuple(index), calibration, source, tuple(notes_of(colours)),
+    return Capture(pictures, views, transfer, tuple(index), calibration, source, tuple(notes_of(colours)),
                    colours, measured)
 
 

@@ -6,8 +6,9 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, get_args
+from typing import Any, Literal, cast, get_args
 
+import torch
 from torch import Tensor
 
 from .. import color
@@ -75,12 +76,28 @@ LEAST_SIDE = 8  # pixels
 Calibration = Literal["given", "sheet", "photos", "none"]
 
 
+KEPT = torch.float32, torch.uint8, torch.uint16  # types that photos are kept in
+
+
+class _Photos:
+    """Photos as float32 display values, whatever they are kept in."""
+
+    def __get__(self, capture: Capture | None, _: type | None = None) -> Tensor:
+        if capture is None:
+            raise AttributeError("photos have no default")
+        return color.shown(capture.stored)
+
+    def __set__(self, capture: Capture, photos: Tensor) -> None:
+        vars(capture)["stored"] = _checked(photos)
+
+
 @dataclass(frozen=True)
 class Capture:
     """Photos rectified to one frontal view: pixel (i, j) of each is the same point of the material.
 
     Args:
-        photos: N x R x R x 3, display values in [0, 1] as stored, row 0 at the top; kept as float32.
+        photos: N x R x R x 3, display values in [0, 1], row 0 at the top, float32; or as stored in 8 or 16
+            bits, in which case they stay so (:attr:`stored`) and are made float32 anew by each access.
         views: the N views.
         transfer: how display values encode linear radiance.
         index: the number of each photo in the capture it was read from (0-based), e.g. (0, 1, 2, 3, 5, 6, 8).
@@ -111,9 +128,8 @@ class Capture:
         if self.transfer not in get_args(color.Transfer):
             raise ConfigError(f"a transfer function of {get_args(color.Transfer)}", repr(self.transfer),
                               "choose one of these")
-        object.__setattr__(self, "photos", _checked(self.photos))
-        if self.photos.shape[0] != len(self.views):
-            raise CaptureError(f"a view for each of {self.photos.shape[0]} photos",
+        if len(self) != len(self.views):
+            raise CaptureError(f"a view for each of {len(self)} photos",
                                f"{len(self.views)} views", "give one row of calibration a photo")
         index = whole_numbers(self.index) or list(range(len(self)))
         if len(index) != len(self) or len(set(index)) < len(index) or min(index) < 0:
@@ -122,7 +138,7 @@ class Capture:
         object.__setattr__(self, "index", tuple(index))
 
     def __len__(self) -> int:
-        return self.photos.shape[0]
+        return self.stored.shape[0]
 
     def __repr__(self) -> str:
         name = self.source.name if self.source else "without a folder"
@@ -136,7 +152,7 @@ class Capture:
     @property
     def resolution(self) -> int:
         """Pixels along a side of the square photos."""
-        return self.photos.shape[1]
+        return self.stored.shape[1]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -149,9 +165,22 @@ class Capture:
         return color.decode(self.photos, self.transfer)
 
     @property
+    def stored(self) -> Tensor:
+        """The photos as they are kept, N x R x R x 3: float32, or 8 or 16 bits (:func:`color.shown`)."""
+        return cast(Tensor, vars(self)["stored"])
+
+    def photo(self, row: int) -> Tensor:
+        """One photo, R x R x 3 display values."""
+        return color.shown(self.stored[row])
+
+    def but(self, **changes: Any) -> Capture:
+        """The same capture with other values of some fields; photos are kept as they are."""
+        return replace(self, **{"photos": self.stored, **changes})
+
+    @property
     def usable(self) -> Tensor:
         """Where the photos tell a value, N x R x R x 3: measured and not clipped."""
-        below = self.photos < color.CLIPPED
+        below = torch.stack([self.photo(row) < color.CLIPPED for row in range(len(self))])
         return below if self.measured is None else below & self.measured[..., None]
 
     def measured_at(self, resolution: int) -> Tensor | None:
@@ -162,15 +191,15 @@ class Capture:
     @kinds_checked
     def averaged(self, resolution: int) -> Capture:
         """The photos at another size, by area averages of display values."""
-        return replace(self, photos=area_averaged(self.photos, resolution).contiguous(),
-                       measured=self.measured_at(resolution))
+        photos = [area_averaged(self.photo(row), resolution) for row in range(len(self))]
+        return replace(self, photos=torch.stack(photos), measured=self.measured_at(resolution))
 
     @kinds_checked
     def sampled(self, resolution: int) -> Capture:
         """Every k-th pixel of the photos, for the greatest k that leaves ``resolution`` or more a side."""
         if resolution < 1:
             raise ConfigError("a resolution of 1 or more", str(resolution), "choose a larger one")
-        photos = sampled(self.photos.movedim(-1, 1), resolution)
+        photos = color.shown(sampled(self.stored.movedim(-1, 1), resolution))
         return replace(self, photos=photos.movedim(1, -1).contiguous(),
                        measured=None if self.measured is None else sampled(self.measured, resolution))
 
@@ -188,18 +217,23 @@ class Capture:
         if len(set(index)) < len(index):
             raise CaptureError("each photo once", f"photos {list(index)}", "take the repeated number out")
         rows = [self.index.index(i) for i in index]
-        return replace(self, photos=self.photos[rows], views=self.views.pick(rows), index=tuple(index),
+        return replace(self, photos=self.stored[rows], views=self.views.pick(rows), index=tuple(index),
                        measured=None if self.measured is None else self.measured[rows])
 
 
+Capture.photos = _Photos()  # type: ignore[assignment,misc]
+
+
 def _checked(photos: Tensor) -> Tensor:
-    """Photos as float32, when their shape and values are those of photos."""
-    if not isinstance(photos, Tensor) or not photos.is_floating_point():
+    """Photos as float32, or as stored in 8 or 16 bits, when their shape and values are those of photos."""
+    if not isinstance(photos, Tensor) or not (photos.is_floating_point() or photos.dtype in KEPT):
         raise CaptureError("photos as a float tensor", repr(getattr(photos, "dtype", type(photos).__name__)),
                            "give display values in [0, 1]: 8 bits divided by 255")
     if photos.ndim != 4 or photos.shape[1] != photos.shape[2] or photos.shape[3] != 3 or not photos.numel():
         raise CaptureError("photos of N x R x R x 3", f"shape {tuple(photos.shape)}",
                            "rectify them to squares of one size")
+    if not photos.is_floating_point():
+        return photos
     least, most = photos.aminmax()
     if not (least >= 0 and most < float("inf")):  # nor where they are NaN
         raise CaptureError("photos of display values >= 0, finite", f"values from {least:g} to {most:g}",

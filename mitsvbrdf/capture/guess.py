@@ -109,7 +109,8 @@ def _robust(capture: Capture) -> Tensor:
                      for x in zip(*fitted))
 
     def diffuse(rows: slice) -> Tensor:
-        photos, shown = capture.photos[:, rows], torch.tensor(True) if shows is None else shows[:, rows]
+        photos = color.shown(capture.stored[:, rows])
+        shown = torch.tensor(True) if shows is None else shows[:, rows]
         least = torch.where(shown, photos, torch.inf).amin(dim=0)
         seen = shown & ((photos < NEARLY_CLIPPED) | (photos == least))
         found = (_apparent(capture, rows) - lobe[:, rows]) / shading[:, rows]
@@ -121,7 +122,7 @@ def _robust(capture: Capture) -> Tensor:
 def _apparent(capture: Capture, rows: slice) -> Tensor:
     """The albedo of a flat Lambertian that looks like these rows of the photos, N x ? x R x 3."""
     irradiance = geometry(capture.views, capture.resolution, rows)[2]
-    return over(math.pi * color.decode(capture.photos[:, rows], capture.transfer), irradiance)
+    return over(math.pi * color.decode(color.shown(capture.stored[:, rows]), capture.transfer), irradiance)
 
 
 def _shade(texels: Tensor, light: Tensor, half: Tensor) -> tuple[Tensor, Tensor]:

@@ -96,16 +96,16 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
                            "name the folder that was fitted")
     elif stated := stated_in(path):
         capture = from_json(stated, falloff, resolution)
-        capture = replace(capture, notes=(f"the calibration is that of {stated.name}", *capture.notes))
+        capture = capture.but(notes=(f"the calibration is that of {stated.name}", *capture.notes))
     else:
         capture = _from_plain(path, falloff, resolution, transfer, report)
         if above := _stated_above(path):
             note = f"{above} states views of these photos, which are read without them: name it instead"
-            capture = replace(capture, notes=(*capture.notes, note))
+            capture = capture.but(notes=(*capture.notes, note))
     capture = laid_alike(capture)
     capture = capture if index is None else capture.pick(index)
     transfer, told = used_transfer(transfer or capture.transfer, capture.colours)
-    capture = _shrunk(replace(capture, transfer=transfer, notes=(*capture.notes, *told)), resolution)
+    capture = _shrunk(capture.but(transfer=transfer, notes=(*capture.notes, *told)), resolution)
     if log:
         for note in capture.notes:
             log(note)
@@ -178,7 +178,7 @@ def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer
             reason = error.got
         else:
             rejected = [f"{name} is rejected: {why}" for name, why in made.rig.rejected.items()]
-            return replace(made.capture, views=replace(made.capture.views, falloff=falloff), source=folder,
+            return made.capture.but(views=replace(made.capture.views, falloff=falloff), source=folder,
                            notes=(*made.warnings, *rejected))
     return _single(photos, falloff, folder, resolution, reason)
 
@@ -192,7 +192,7 @@ def _single(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution:
     geometry = (f"no calibration: camera and light are taken to be together, {z:.2f} patch sides above the "
                 f"centre (field of view {_angle(photos[0]):.0f} degrees, "
                 f"{'from EXIF' if focal else 'assumed'}); a white texel there has radiance 1")
-    return replace(shot, notes=(*shot.notes, geometry))
+    return shot.but(notes=(*shot.notes, geometry))
 
 
 def _rectified(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None) -> Capture:
@@ -253,7 +253,7 @@ def _shrunk(capture: Capture, resolution: int | None) -> Capture:
         return capture
     if resolution > capture.resolution:
         note = f"the photos have {capture.resolution} pixels a side, so they are not enlarged to {resolution}"
-        return replace(capture, notes=(*capture.notes, note))
-    photos = [averaged(photo.numpy(), resolution) for photo in capture.photos]
-    return replace(capture, photos=torch.from_numpy(np.stack(photos)),
+        return capture.but(notes=(*capture.notes, note))
+    photos = [averaged(photo.numpy(), resolution) for photo in capture.stored]
+    return capture.but(photos=torch.from_numpy(np.stack(photos)),
                    measured=capture.measured_at(resolution))

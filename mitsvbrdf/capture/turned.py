@@ -4,7 +4,6 @@ Each photo's fine pattern is correlated with those of the others as it lies, and
 which a square can lie. Squares of correlations count, as relief under opposite light shows its negative.
 """
 
-from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -58,7 +57,7 @@ def laid_alike(capture: Capture) -> Capture:
     found = ways(capture)
     if not any(found):
         return capture
-    photos, measured = capture.photos.clone(), capture.measured
+    photos, measured = capture.stored.clone(), capture.measured
     measured = None if measured is None else measured.clone()
     for number, way in enumerate(found):
         photos[number] = laid(photos[number, None], way)[0]
@@ -71,12 +70,12 @@ def laid_alike(capture: Capture) -> Capture:
         how = " and ".join(["mirrored"] * mirrored + [f"turned by {180 if turns == 2 else 90} degrees"]
                            * (turns > 0))
         notes.append(f"{how} beside the others, as the pattern shows: {names}; laid as the others lie")
-    return replace(capture, photos=photos, measured=measured, notes=(*capture.notes, *notes))
+    return capture.but(photos=photos, measured=measured, notes=(*capture.notes, *notes))
 
 
 def _pattern(capture: Capture) -> Tensor:
     """What is fine in each photo, alike in strength everywhere, N x R x R; 0 where it is not measured."""
-    small = np.stack([averaged(photo.numpy(), SIDE) for photo in capture.photos])
+    small = np.stack([averaged(photo.numpy(), SIDE) for photo in capture.stored])
     grey = np.log(small.mean(axis=-1) + DIM)
     fine = grey - gaussian_filter(grey, (0, FINE, FINE), mode="nearest")
     strength = np.sqrt(gaussian_filter(fine**2, (0, 3 * FINE, 3 * FINE), mode="nearest")) + 1e-3

@@ -23,6 +23,6 @@ def guess(capture: Positional[Photos], out: Out, method: GuessMethod = "robust",
     shots = read_photos(capture, resolution, views, transfer, "inverse-square")
     guess = guess_diffuse(shots, method)
     with results.output_folder(out, overwrite) as folder:
-        images.write_linear(folder / "diffuse", guess, color.to_display(guess, "srgb"))
+        images.write_all(images.linear_writes(folder / "diffuse", guess, color.to_display(guess, "srgb")))
     say(f"wrote {out}/diffuse.exr, diffuse.png")
     return 0

@@ -1,6 +1,5 @@
 """``mitsvbrdf render``: maps rendered for the views of a capture."""
 
-from functools import partial
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -50,7 +49,7 @@ def render(
     with results.output_folder(out, overwrite) as folder:
         for part in batches(len(names), svbrdf.resolution):
             shown = engine.render(svbrdf, lit.pick(part))
-            images.write_all([partial(images.write_linear, folder / names[k], image,
-                                      color.to_display(image, transfer)) for k, image in zip(part, shown)])
+            images.write_all([write for k, image in zip(part, shown) for write in images.linear_writes(
+                folder / names[k], image, color.to_display(image, transfer))])
     say(f"wrote {len(names)} images of {options.name_of(maps)} to {out}")
     return 0

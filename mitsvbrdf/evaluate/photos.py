@@ -145,7 +145,7 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
     methods, pictures = [], []
     for entry in entries:
         fit = entry.fit
-        shots = replace(all_photos, transfer=transfer or fit.transfer or capture.transfer,
+        shots = all_photos.but(transfer=transfer or fit.transfer or capture.transfer,
                         views=replace(all_photos.views, falloff=fit.falloff))
         shots = placed(shots, fit).pick(capture.index)
         svbrdf = entry.svbrdf.resized(capture.resolution)

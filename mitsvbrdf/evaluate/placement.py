@@ -35,7 +35,7 @@ def placed(capture: Capture, fit: Fit) -> Capture:
     if fit.of(capture):
         capture = Reading.told(fit.record.get("command", {})).of(capture)
     if capture.calibrated and fit.light_power_factor != 1 and not fit.estimated and fit.of(capture):
-        return replace(capture, views=replace(capture.views,
+        return capture.but(views=replace(capture.views,
                                               intensity=capture.views.intensity * fit.light_power_factor))
     if capture.calibrated or not (fit.estimated or fit.known_views is None):
         return capture
@@ -53,7 +53,7 @@ def placed(capture: Capture, fit: Fit) -> Capture:
     higher = (there.camera[:, 2] / here.camera[:, 2]).log().mean().exp()
     brighter = (there.intensity.sum(dim=1) / here.intensity.sum(dim=1)).log().mean().exp()
     camera = capture.views.camera * torch.stack([torch.ones(()), torch.ones(()), higher]) + shift
-    return replace(capture, views=replace(capture.views, camera=camera, light=camera.clone(),
+    return capture.but(views=replace(capture.views, camera=camera, light=camera.clone(),
                                           intensity=capture.views.intensity * brighter))
 
 

@@ -5,13 +5,13 @@ A checksum of tensors and note tells a damaged file from a whole one: the format
 
 import hashlib
 import json
+import struct
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from torch import Tensor
 
 from ..capture import Capture
@@ -19,18 +19,35 @@ from ..errors import ConfigError
 from ..io.files import atomic_write, to_disk
 from .config import FitConfig
 
+KINDS = {torch.float32: "F32", torch.float64: "F64", torch.float16: "F16", torch.bfloat16: "BF16",
+         torch.int64: "I64", torch.int32: "I32", torch.uint8: "U8", torch.bool: "BOOL"}  # of the format
 MOST_NAMED = 4  # of what differs from the run that is resumed
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], note: dict) -> None:
-    """A safetensors file: plain tensors, and a note as JSON text. Loading it runs no code."""
-    tensors, text = {k: v.detach().contiguous().clone() for k, v in tensors.items()}, json.dumps(note)
+    """A safetensors file: plain tensors, and a note as JSON text. Loading it runs no code.
+
+    It is written tensor by tensor: the format's own library would hold a copy of all of them.
+    """
+    names = sorted(tensors, key=lambda name: (-tensors[name].element_size(), name))  # each is aligned
+    text, end = json.dumps(note), 0
+    about: dict[str, dict] = {"__metadata__": {"mitsvbrdf": text, "sha256": _checksum(tensors, text)}}
+    for name in names:
+        value, begin = tensors[name], end
+        end += value.numel() * value.element_size()
+        about[name] = {"dtype": KINDS[value.dtype], "shape": list(value.shape), "data_offsets": [begin, end]}
+    header = json.dumps(about).encode()
+    header += b" " * (-len(header) % 8)
     with atomic_write(path) as temporary:
-        try:
-            save_file(tensors, temporary, metadata={"mitsvbrdf": text, "sha256": _checksum(tensors, text)})
-        except SafetensorError as reason:
-            raise OSError(str(reason)) from None
+        with open(temporary, "wb") as file:
+            file.write(struct.pack("<Q", len(header)) + header)
+            for name in names:
+                file.write(_bytes(tensors[name]))
         to_disk(temporary)  # it takes the place of one that can be resumed from
+
+
+def _bytes(value: Tensor) -> memoryview:
+    return value.detach().contiguous().reshape(-1).view(torch.uint8).numpy().data
 
 
 def load_tensors(path: Path | str) -> tuple[dict[str, Tensor], dict]:
@@ -63,7 +80,7 @@ def _checksum(tensors: dict[str, Tensor], text: str) -> str:
     for name in sorted(tensors):
         value = tensors[name]
         digest.update(f"{name} {value.dtype} {list(value.shape)}".encode())
-        digest.update(value.reshape(-1).view(torch.uint8).numpy().data)
+        digest.update(_bytes(value))
     return digest.hexdigest()
 
 
@@ -119,8 +136,8 @@ def fingerprints(config: FitConfig, capture: Capture, renderer: str,
     parts |= {"--renderer": renderer, "--transfer": capture.transfer, "--falloff": views.falloff,
               "size of the patch": repr(views.size)}
     for row, name in enumerate(capture.names):
-        parts[f"photo {name}"] = digest(*(each[row] for each in (capture.photos, capture.measured)
-                                          if each is not None))
+        parts[f"photo {name}"] = digest(capture.photo(row), *(
+            [] if capture.measured is None else [capture.measured[row]]))
         parts[f"view of photo {name}"] = digest(views.camera[row], views.light[row], views.intensity[row])
     return parts
 

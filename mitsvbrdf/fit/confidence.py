@@ -18,6 +18,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
+from .. import color
 from ..material.maps import SVBRDF
 from ..views import Views
 from .hierarchical.sharing import appearance_of, membership
@@ -55,7 +56,7 @@ def deviations(svbrdf: SVBRDF, views: Views, task: FitTask,
         return value[..., every, every, :].contiguous()
 
     measured = capture.measured
-    capture = replace(capture, photos=some(capture.photos), views=seen_by(views, side, step),
+    capture = capture.but(photos=color.shown(some(capture.stored)), views=seen_by(views, side, step),
                       measured=None if measured is None else some(measured[..., None])[..., 0])
     own = OwnPhotos(svbrdf.map(some), capture, task.renderer,
                     {name: some(value) for name, value in task.fixed.items()}, task.config.grey_specular)

@@ -16,7 +16,7 @@ from ..io.profile import profile_seconds, profiled
 from ..io.provenance import machine, versions
 from ..material.maps import COLOURS, SVBRDF
 from ..measure.burn_in import burn_in, local_burn_in
-from ..measure.rerender import rerender, rerender_errors
+from ..measure.rerender import Rerendered, rerender_errors, rerendered
 from ..render.needs import Omitted
 from ..views import Views, shift_lights
 from .confidence import UNKNOWN, Deviations, confidence, deviations
@@ -29,7 +29,7 @@ from .record import FROM, SCHEMA_VERSION
 from .result import Fit
 from .solved_gan import SolvedGan
 from .task import FitTask
-from .warnings import fit_warnings
+from .warnings import SAMPLED, fit_warnings
 
 
 def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -> Fit:
@@ -39,11 +39,11 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
     _, svbrdf, views = loop.best
     solver = method.solvers[0] if isinstance(method, SolvedGan) else method
     basis, own = (solver.scales.basis, solver.task) if isinstance(solver, Hierarchical) else (None, task)
-    images, total, each, spreads, alike = _looked_at(svbrdf, views, own, basis)
+    seen, spreads, alike = _looked_at(svbrdf, views, own, basis)
     told = light_power_told(svbrdf, alike or spreads) if task.light_power_unknown else None
     if told:
         svbrdf, views = with_light_power(svbrdf, told), replace(views, intensity=views.intensity * told)
-        images, total, each, spreads, alike = _looked_at(svbrdf, views, own, basis)
+        seen, spreads, alike = _looked_at(svbrdf, views, own, basis)
     # Of all photos: where each has a camera and a flash of its own besides, they move around what is common.
     moved = (views.light - views.camera) - (capture.views.light - capture.views.camera)
     x, y = (moved.mean(dim=0)[:2] / views.size).tolist()
@@ -53,7 +53,7 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
     profile = profile_seconds()
     record = {"schema_version": SCHEMA_VERSION, "method": method_name(config),
         "renderer": renderer.name, "variant": renderer.variant, "bsdf": svbrdf.bsdf,
-        "rerender_rmse": total, "per_photo": dict(zip(capture.names, each)),
+        "rerender_rmse": seen.total, "per_photo": dict(zip(capture.names, seen.each)),
         "calibrated_rmse": calibrated_rmse,
         "confidence": confidence(spreads, alike), "burn_in": burn_in(svbrdf, views),
         "local_burn_in": local_burn_in(svbrdf, views), "warnings": [],
@@ -74,18 +74,19 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
         **({"repeats": task.repeats._asdict()} if task.repeats else {}),
         **({"profile": profile} if profile else {}),
         "versions": versions(), "machine": machine(), "trace": loop.trace}
-    fit = Fit(record, known={"svbrdf": svbrdf, "views": views, "guess": task.guess, "photos": capture.photos,
-                             "rerendered": images, "deviations": spreads, "config": config, "detail": None,
+    fit = Fit(record, known={"svbrdf": svbrdf, "views": views, "guess": task.guess, "shots": capture,
+                             "sample": seen.sample, "deviations": spreads, "config": config, "detail": None,
                              "deviations_with_look_alikes": alike,
-                             "capture": capture.source.name if capture.source else ""})
+                             "capture": capture.source.name if capture.source else "", "seen_by": renderer,
+                             **({} if seen.images is None else {"rerendered": seen.images})})
     said = (task.repeats.said(),) if task.repeats else ()
     return fit.but(warnings=(*capture.notes[len(notes):], *said, *fit_warnings(fit, capture)))
 
 
 def _looked_at(svbrdf: SVBRDF, views: Views, task: FitTask, basis: Tensor | None
-               ) -> tuple[Tensor, float, list[float], Deviations, Deviations]:
-    """Re-rendered photos, their error, that of each photo; deviations alone and with look-alikes."""
-    images, total, each = rerender(task.renderer, svbrdf, views, task.capture)
+               ) -> tuple[Rerendered, Deviations, Deviations]:
+    """Re-rendered photos with their errors; deviations alone and with look-alikes."""
+    seen = rerendered(task.renderer, svbrdf, views, task.capture, SAMPLED)
     with profiled("uncertainty"):
         try:
             both = deviations(svbrdf, views, task, basis)
@@ -94,7 +95,7 @@ def _looked_at(svbrdf: SVBRDF, views: Views, task: FitTask, basis: Tensor | None
     if task.light_doubted:  # colours are as sure as the light
         for spreads in both:
             spreads |= {name: torch.full_like(spreads[name], UNKNOWN) for name in COLOURS if name in spreads}
-    return images, total, each, *both
+    return seen, *both
 
 
 def _stated_views(capture: Capture, views: Views, offset: tuple[float, float],

@@ -121,8 +121,8 @@ class Fit:
     def detail(self) -> SVBRDF | None:
         """One plausible draw of what no photo shows, for pictures; None where none was asked for."""
         folder = self.path / (DETAIL if (self.path / DETAIL).is_dir() else FORMER_DETAIL)
-        drawn = "detail" in self.record
-        return self._or("detail", lambda: load_maps(folder, self.record["bsdf"]) if drawn else None)
+        return self._or("detail", lambda: load_maps(folder, self.record["bsdf"])
+                        if "detail" in self.record else None)
 
     @cached_property
     def guess(self) -> Tensor:
@@ -132,12 +132,19 @@ class Fit:
     @cached_property
     def photos(self) -> Tensor:
         """The photos used, N x R x R x 3 in display values; in a folder, of 8 bits."""
-        return self._images("photos", "png")
+        return (self.known["shots"].photos if "shots" in self.known
+                else torch.stack([self._image(f"photos/{name}.png") for name in self.names]))
 
     @cached_property
     def rerendered(self) -> Tensor:
         """Linear radiance N x R x R x 3 of the photos used."""
-        return self._images("rerendered", "exr")
+        return self._or("rerendered", lambda: torch.stack([*map(self.rerendering, range(len(self.names)))]))
+
+    def rerendering(self, row: int) -> Tensor:
+        """One of :attr:`rerendered`, R x R x 3; of large ones in memory, it is rendered by each call."""
+        if "seen_by" in self.known and "rerendered" not in self.known:
+            return self.known["seen_by"].render(self.svbrdf, self.views.pick([row]))[0]
+        return self._or("rerendered", lambda: {row: self._image(f"rerendered/{self.names[row]}.exr")})[row]
 
     @cached_property
     def deviations(self) -> Mapping[str, Tensor]:
@@ -153,10 +160,6 @@ class Fit:
         return self._or(kind, lambda: {
             name: self._image(f"{of}/{name}.exr")[..., :1] for name in self.record["confidence"]
             if (self.path / f"{of}/{name}.exr").is_file()})
-
-    def _images(self, of: str, suffix: str) -> Tensor:
-        names = [f"{of}/{name}.{suffix}" for name in self.names] if of not in self.known else []
-        return self._or(of, lambda: torch.stack([self._image(name) for name in names]))
 
     def _image(self, name: str) -> Tensor:
         return images.read_image(self.path / name, MapsError)
@@ -179,8 +182,8 @@ class Fit:
     @property
     def omitted(self) -> tuple[Omitted, ...]:
         """What the scene or the method did not need."""
-        told = self.record.get("omitted", ())
-        return self._or("omitted", lambda: tuple(Omitted(each["what"], each["why"]) for each in told))
+        return self._or("omitted", lambda: tuple(Omitted(each["what"], each["why"])
+                                                 for each in self.record.get("omitted", ())))
 
     @property
     def used(self) -> tuple[tuple[str, str], ...]:
@@ -270,9 +273,8 @@ class Fit:
 
     def label(self, capture: Capture, number: int) -> str:
         """Name of a photo, and whether the fit saw it, where it was fitted to this capture."""
-        if not self.of(capture):
-            return f"{number:02d}"
-        return f"{number:02d} ({'seen' if number in self.seen else 'held out'})"
+        seen = f" ({'seen' if number in self.seen else 'held out'})" if self.of(capture) else ""
+        return f"{number:02d}{seen}"
 
     def unchanged(self) -> bool:
         """Whether ``fit.json`` in its folder still says the same."""
@@ -284,9 +286,8 @@ def write_record(folder: Path, fit: Fit, command: dict, stored: Mapping[str, SVB
 
     Returns the fit as it is in that folder; ``stored`` holds its maps as :func:`save_maps` left them.
     """
-    written = Fit(fit.record | {"command": command}, folder, {**fit.known, **stored})
-    files.write_json(folder / FILE, written.record)
-    return written
+    files.write_json(folder / FILE, record := fit.record | {"command": command})
+    return Fit(record, folder, {**fit.known, **stored})
 
 
 def _read(folder: Path) -> Fit:

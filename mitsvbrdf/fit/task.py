@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Generic, Literal, TypeVar
 
@@ -118,8 +118,8 @@ def fit_task(capture: Capture, renderer: Renderer, config: Config) -> FitTask[Co
     """
     if (measured := capture.measured) is not None:
         shown = torch.where(measured[..., None], capture.photos, torch.nan)
-        capture = replace(capture, photos=filled(list(shown.numpy()), warn=False)[0])
+        capture = capture.but(photos=filled(list(shown.numpy()), warn=False)[0])
     capture, estimated = (capture, None) if config.holds_views else self_calibrated(capture)
     if found := doubts(capture):
-        capture = replace(capture, notes=(*capture.notes, *found.said))
+        capture = capture.but(notes=(*capture.notes, *found.said))
     return FitTask(capture, renderer, config, estimated=estimated, light_doubted=bool(found and found.light))

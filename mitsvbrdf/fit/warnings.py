@@ -8,7 +8,6 @@ from torch import Tensor
 
 from ..capture import Capture
 from ..color import CLIPPED
-from ..material.resample import sampled
 from ..measure.burn_in import LOCAL_SIDE, burn_in, local_burn_in
 from .confidence import DETERMINED, of_texels
 from .config import HierarchicalConfig
@@ -29,6 +28,7 @@ FAINT = 0.015  # F0, median; eleven had 0.0156 and more, one 0.013. Water has 0.
 STRONG, HARDLY = 0.1, 0.5
 MORE_SHARE = 0.1  # of texels that reflect more than arrives; three of the eighteen had 0.28 to 0.55, others 0
 ASIDE = 0.05  # patch sides from the middle that count as beside it
+LOOKED_AT = 1024  # px a side that tell of the photos by themselves
 SAMPLED = 256  # px a side that tell of gains
 COARSE = 64  # px at which photos are compared; the closest two of the eighteen are 4.6 / 255 apart
 WORSE = 2.5  # times the median error of a photo; 1.1 to 2.3
@@ -60,6 +60,7 @@ def about_steps(undone: Sequence[dict]) -> Iterator[str]:
 
 def about_photos(capture: Capture) -> Iterator[str]:
     """Warnings about the photos by themselves."""
+    capture = capture.sampled(min(LOOKED_AT, capture.resolution))
     photos = capture.photos
     clipped = float((photos >= CLIPPED).any(dim=-1).float().mean())
     if clipped > MUCH_CLIPPED:
@@ -93,7 +94,7 @@ def _twice(capture: Capture) -> Iterator[str]:
 def _light(result: Fit, capture: Capture) -> Iterator[str]:
     small = capture.sampled(min(SAMPLED, capture.resolution))
     photos = small.linear
-    images = sampled(result.rerendered.movedim(-1, 1), min(SAMPLED, capture.resolution)).movedim(1, -1)
+    images = result.known["sample"]
     usable = small.usable & (small.photos > DARK) & (images > 0)
     if float(usable.float().mean()) > USABLE:
         gain = float((photos[usable] / images[usable]).median())

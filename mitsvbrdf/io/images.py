@@ -10,6 +10,7 @@ import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -244,8 +245,7 @@ def encode_png(image: Tensor, bits: int = 8) -> bytes:
     return cv2.imencode(".png", np.ascontiguousarray(pixels))[1].tobytes()
 
 
-def write_linear(stem: Path, image: Tensor, display: Tensor) -> None:
-    """An image as ``stem.exr`` (linear, float32) and as ``stem.png`` (display values, 8-bit)."""
-    png = encode_png(display)
-    write_exr(stem.with_suffix(".exr"), image)
-    write_bytes(stem.with_suffix(".png"), png)
+def linear_writes(stem: Path, image: Tensor, display: Tensor) -> list[Callable[[], None]]:
+    """To write an image as ``stem.exr`` (linear, float32) and ``stem.png`` (display values, 8-bit)."""
+    return [partial(write_exr, stem.with_suffix(".exr"), image),
+            partial(write_png, stem.with_suffix(".png"), display)]

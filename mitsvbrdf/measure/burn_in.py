@@ -21,7 +21,7 @@ from torch import Tensor
 
 from .. import color
 from ..material.maps import SVBRDF
-from ..views import Views, coverage_angle, half_angles
+from ..views import STRIP, Views, coverage_angle, half_angles
 
 # a map whose deviation is below this share of its size is constant: float32 and the encoding leave 1e-7
 CONSTANT_BELOW = 1e-6
@@ -102,6 +102,15 @@ def explained_share(values: Tensor, angle: Tensor) -> float:
 def cubic(x: Tensor, values: Tensor) -> Tensor:
     """Least-squares cubics in x (M) through values (S x M), at x: S x M, float64."""
     x = x.double() - x.double().mean()
-    powers = torch.stack([(x / x.abs().max().clamp_min(1e-9)) ** k for k in range(4)], dim=1)
+    x = x / x.abs().max().clamp_min(1e-9)
+
+    def powers(part: Tensor) -> Tensor:
+        return torch.stack([part**k for k in range(4)])
+
+    square, right = x.new_zeros(4, 4), x.new_zeros(4, len(values))
+    for part, numbers in zip(x.split(STRIP), values.split(STRIP, dim=1)):
+        square += powers(part) @ powers(part).T
+        right += powers(part) @ numbers.double().T
     # gelsd: x may be constant
-    return (powers @ torch.linalg.lstsq(powers, values.double().T, driver="gelsd").solution).T
+    found = torch.linalg.lstsq(square, right, driver="gelsd").solution
+    return torch.cat([found.T @ powers(part) for part in x.split(STRIP)], dim=1)

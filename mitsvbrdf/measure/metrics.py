@@ -62,7 +62,7 @@ def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "g
 
     Args:
         rerendered: N x R x R x 3, linear radiance.
-        photos: N x R x R x 3, display values in [0, 1].
+        photos: N x R x R x 3, display values in [0, 1], or of 8 or 16 bits.
         transfer: how the photos encode radiance.
         measured: N x R x R, False where a pixel does not count; None: all count.
 
@@ -82,7 +82,7 @@ def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "g
         share = measured.double().mean(dim=(1, 2)).clamp_min(1e-9)
     for rows in strips(side):
         shown = color.to_display(rerendered[:, rows].detach().double(), transfer)
-        squares = (shown - color.clip(photos[:, rows].double())).square()
+        squares = (shown - color.clip(color.shown(photos[:, rows]).double())).square()
         total += (squares if measured is None else squares * measured[:, rows, :, None]).sum(dim=(1, 2, 3))
     each = (total / share / photos[0].numel()).sqrt().tolist()
     return of_all(each), each

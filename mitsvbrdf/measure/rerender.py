@@ -1,12 +1,14 @@
 """A material rendered for the photos of a capture, and its error: what every fit is judged by."""
 
 import math
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from ..capture import Capture
 from ..material.maps import SVBRDF
+from ..material.resample import sampled
 from ..render import Renderer
 from ..views import Views
 from .metrics import of_all, photo_rmse
@@ -19,18 +21,34 @@ def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views,
     """A capture's photos re-rendered: linear images, RMSE of all, RMSE of each (display values)."""
     with torch.no_grad():
         images = renderer.render(svbrdf, views)
-    return images, *photo_rmse(images, capture.photos, capture.transfer, capture.measured)
+    return images, *photo_rmse(images, capture.stored, capture.transfer, capture.measured)
+
+
+class Rerendered(NamedTuple):
+    """A capture's photos re-rendered, batch by batch."""
+
+    total: float  # RMSE of all, in display values; NaN where an image is not finite
+    each: list[float]  # of each photo
+    sample: Tensor  # linear images, N x S x S x 3: every k-th pixel
+    images: Tensor | None  # whole ones, N x R x R x 3; None where they take more than one batch
+
+
+def rerendered(renderer: Renderer, svbrdf: SVBRDF, views: Views, capture: Capture, side: int = 1
+               ) -> Rerendered:
+    """Photos re-rendered for these views, with samples of ``side`` pixels a side or somewhat more."""
+    each, samples, parts = list[float](), list[Tensor](), batches(len(views), svbrdf.resolution)
+    for part in parts:
+        shown = capture if len(part) == len(capture) else capture.pick([capture.index[k] for k in part])
+        images, _, errors = rerender(renderer, svbrdf, views.pick(part), shown)
+        each += [error if image.isfinite().all() else math.nan for image, error in zip(images, errors)]
+        samples.append(sampled(images.movedim(-1, 1), min(side, svbrdf.resolution)).movedim(1, -1))
+    return Rerendered(of_all(each), each, torch.cat(samples), images if len(parts) == 1 else None)
 
 
 def rerender_errors(renderer: Renderer, svbrdf: SVBRDF, views: Views,
                     capture: Capture) -> tuple[float, list[float]]:
     """The errors of :func:`rerender` without the images; NaN where one is not finite."""
-    each = list[float]()
-    for part in batches(len(views), svbrdf.resolution):
-        shown = capture if len(part) == len(capture) else capture.pick([capture.index[k] for k in part])
-        images, _, errors = rerender(renderer, svbrdf, views.pick(part), shown)
-        each += [error if image.isfinite().all() else math.nan for image, error in zip(images, errors)]
-    return of_all(each), each
+    return rerendered(renderer, svbrdf, views, capture)[:2]
 
 
 def batches(count: int, resolution: int) -> list[range]:

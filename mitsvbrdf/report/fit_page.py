@@ -53,8 +53,10 @@ def check_apart(folder: Path, capture: Capture) -> None:
 def keep_photos(folder: Path, capture: Capture) -> None:
     """The photos as ``photos/NN.png``: display values, 8 bits; OutputError among the capture's own."""
     check_apart(folder, capture)
-    images.write_all([partial(images.write_png, folder / "photos" / f"{name}.png", photo)
-                      for name, photo in zip(capture.names, capture.photos)])
+    def write(name: str, row: int) -> None:
+        images.write_png(folder / "photos" / f"{name}.png", capture.photo(row))
+
+    images.write_all([partial(write, name, row) for row, name in enumerate(capture.names)])
 
 
 def write_report(fit: Fit | str | Path, quick: bool = False, held_out: Capture | None = None,
@@ -100,11 +102,12 @@ def check_photos(found: Fit, capture: Capture) -> None:
         wanted, got = ("without", "one") if capture.calibrated else ("with", "none")
         raise CaptureError(f"a capture {wanted} calibration, as that of this fit",
                            f"{capture.source}, which has {got}", way_out)
-    if found.rerendered.shape != capture.photos.shape:
-        raise CaptureError(f"photos of {found.rerendered.shape[1]} px",
-                           f"{capture.resolution} px in {capture.source}", way_out)
-    errors = photo_rmse(found.rerendered, capture.photos, found.record["capture"]["transfer"])[1]
-    for name, error, stated in zip(found.names, errors, found.per_photo):
+    if len(found.names) != len(capture) or (side := len(found.rerendering(0))) != capture.resolution:
+        raise CaptureError(f"{len(found.names)} photos of {side} px",
+                           f"{len(capture)} of {capture.resolution} px in {capture.source}", way_out)
+    for row, (name, stated) in enumerate(zip(found.names, found.per_photo)):
+        error = photo_rmse(found.rerendering(row)[None], capture.stored[row:row + 1],
+                           found.record["capture"]["transfer"])[0]
         if abs(error - stated) > SAME_PHOTO:
             raise CaptureError("the photos of this fit", f"{capture.source}, whose photo {name} is another "
                                f"(error {error:.4f} instead of {stated:.4f})", way_out)
@@ -180,9 +183,9 @@ def _map_uri(name: str, value: Tensor) -> str:
 def _photo(photo: dict, side: int, found: Fit, *folders: Path) -> dict:
     """Pictures of a photo, its re-rendering, and four times their difference, as far as files exist."""
     memory = {}
-    if "photos" in found.known and photo["name"] in found.names:
+    if "rerendered" in found.known and photo["name"] in found.names:
         row, transfer = found.names.index(photo["name"]), found.record["capture"]["transfer"]
-        shown = found.photos[row], color.to_display(found.rerendered[row], transfer)
+        shown = found.known["shots"].photo(row), color.to_display(found.rerendered[row], transfer)
         # as their 8-bit files show them
         memory = {name: (255 * value.clamp(0, 1).double()).round().float() / 255
                   for name, value in zip((photo["photo"], photo["rerendered"]), shown)}

@@ -1,7 +1,9 @@
 """What a fit leaves on disk."""
 
-from functools import partial
 from pathlib import Path
+
+import torch
+from torch import Tensor
 
 from .. import color
 from ..capture import Capture
@@ -11,14 +13,18 @@ from ..fit.confidence import of_texels
 from ..fit.result import ALIKE, Fit, write_record
 from ..io import images
 from ..io.entry import entry
-from ..io.images import write_linear
+from ..io.images import linear_writes
 from ..io.progress import say
 from ..io.results import output_folder
 from ..material.map_files import DETAIL, save_maps
 from ..material.resample import enlarged
+from ..measure.rerender import batches
 from .fit_page import check_apart, keep_photos, write_report
 from .header import material_name
 from .overview import write_sheet
+from .pictures import at_most
+
+SHEET = 1024  # pixels a side that the sheet is made of, at most
 
 
 @entry()
@@ -69,17 +75,26 @@ def write_fit_files(result: Fit, capture: Capture, out: Path, command: dict | No
 
 def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_out: Capture | None) -> None:
     """What people look at, and the scene."""
-    shown = color.to_display(result.rerendered, capture.transfer)
-    pictures = [("guess/diffuse", result.guess, color.to_display(result.guess, "srgb")),
-                *zip((f"rerendered/{name}" for name in capture.names), result.rerendered, shown)]
-    images.write_all([partial(write_linear, out / name, *both) for name, *both in pictures])
+    images.write_all(linear_writes(out / "guess/diffuse", result.guess,
+                                   color.to_display(result.guess, "srgb")))
+    small = list[Tensor]()
+    for part in batches(len(capture), result.svbrdf.resolution):
+        writes = []
+        for row in part:
+            image = result.rerendering(row)
+            shown = color.to_display(image, capture.transfer)
+            writes += linear_writes(out / f"rerendered/{capture.names[row]}", image, shown)
+            small.append(at_most(shown, SHEET))
+        images.write_all(writes)
     title = f"{material_name(result)}: {result.method}, {result.svbrdf.bsdf}"
     sure = result.record["confidence"]
     remarks = {name: f"{sure[name]['determined_share']:.0%} determined" if name in sure else "held fixed"
                for name in result.svbrdf.maps}
     title = title.encode(errors="replace").decode()  # of a folder whose name is not UTF-8
-    write_sheet(out / "sheet.png", result.svbrdf, capture.photos,
-                shown, rmse=result.rerender_rmse, per_photo=result.per_photo, guess=result.guess,
+    write_sheet(out / "sheet.png", result.svbrdf.resized(min(SHEET, result.svbrdf.resolution)),
+                torch.stack([at_most(capture.photo(row), SHEET) for row in range(len(capture))]),
+                torch.stack(small), rmse=result.rerender_rmse, per_photo=result.per_photo,
+                guess=at_most(result.guess, SHEET),
                 names=capture.names, title=title, remarks=remarks)
     write_scene(out, result.svbrdf, result.views)
     # held-out photos of an earlier fit are none of this one's

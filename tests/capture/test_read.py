@@ -30,7 +30,7 @@ def test_json_capture(tmp_path):
     images = photos()
     capture = read_capture(json_capture(tmp_path, images), falloff="none")
     assert np.array_equal((capture.photos * 255).round().numpy(), images)
-    assert capture.photos.dtype == torch.float32
+    assert capture.photos.dtype == torch.float32 and np.array_equal(capture.stored.numpy(), images)
     assert capture.views.camera.tolist() == CAMERA and capture.views.light.tolist() == LIGHT
     assert capture.views.intensity.tolist() == [[1500.0, 1400.0, 1300.0]] * 3
     assert (capture.views.size, capture.views.falloff, capture.transfer) == (6.848, "none", "gamma2.2")

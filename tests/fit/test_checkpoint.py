@@ -4,6 +4,7 @@ import os
 
 import numpy as np
 import pytest
+import safetensors.torch
 import torch
 from helpers import ANALYTIC
 
@@ -24,6 +25,12 @@ def test_what_is_saved_is_loaded(tmp_path):
     assert found == note and set(tensors) == set(STATE)
     assert all(torch.equal(tensors[name], value) and tensors[name].dtype == value.dtype
                for name, value in STATE.items())
+
+
+def test_the_library_of_the_format_reads_it(tmp_path):
+    save_tensors(tmp_path / "c", STATE, {"iteration": 3})
+    found = safetensors.torch.load_file(tmp_path / "c")
+    assert all(torch.equal(found[name], value) for name, value in STATE.items())
 
 
 def test_every_bit_that_turns_over_is_seen(tmp_path):

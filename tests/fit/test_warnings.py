@@ -31,15 +31,15 @@ def test_a_photo_from_elsewhere_is_named(leather):
     assert any(warning.startswith("photo 04 fits worse") for warning in result.warnings)
 
 
-@pytest.mark.parametrize("change, words", [({"rerendered": 4.0}, "darker than the photos by 4x"),
-    ({"rerendered": 0.25}, "brighter than the photos by 4x"),
+@pytest.mark.parametrize("change, words", [({"sample": 4.0}, "darker than the photos by 4x"),
+    ({"sample": 0.25}, "brighter than the photos by 4x"),
     ({"rerender_rmse": 0.2}, "only met to 0.2"), ({"stopped": "unstable"}, "ended early"),
     ({"undone": ({"iteration": 30, "reason": "flat not finite"},)}, "1 step undone; the first at iteration "
                                                                     "30: flat not"),
     ({"trace": [{"iteration": 0, "seconds": 0.0, "rerender_rmse": 0.1}]}, "no step was made")])
 def test_each_doubt(change, words, fitted, leather):
-    if "rerendered" in change:
-        change = {"rerendered": fitted.rerendered / change["rerendered"]}
+    if "sample" in change:
+        change = {"sample": fitted.rerendered / change["sample"]}
     (warning,) = fit_warnings(fitted.but(**change), leather)
     assert words in warning
 

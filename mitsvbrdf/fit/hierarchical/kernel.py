@@ -31,14 +31,25 @@ TILE = 2**18  # texels that are solved at once, so that what is made of them sta
 FREE = 1.0  # damping up to which a step that short ends the search: it was not held back
 
 
+def tile_rows(side: int) -> int:
+    """Rows of a tile."""
+    return min(side, max(1, TILE // side))
+
+
+def tiles(side: int, count: int | None = None) -> list[slice]:
+    """Tiles of so many rows, all if left out; the last one begins early enough to be as large as others."""
+    count, rows = count or side, tile_rows(side)
+    return [slice(first, first + rows) for first in (min(k, count - rows) for k in range(0, count, rows))]
+
+
 class Kernel:
     """Cost, normal equations and steps of every texel, traced once for a kind of material and scene.
 
     :attr:`steps`, :attr:`posterior` and :attr:`equations` stand behind the methods of
     :class:`~mitsvbrdf.fit.hierarchical.solver.TexelSolver`. Their ``problem`` has the Dr.Jit arrays
-    ``photos``, ``first`` (texel of the tile), ``views`` (cameras, lights, intensities), ``count`` (of the
-    views), ``weight`` (1 / noise^2) and ``fixed`` (maps of the tile), and where they are asked for ``scale``
-    (of the robust cost) and ``weights`` (of pixels).
+    ``photos`` (of the tile), ``first`` (its first texel), ``views`` (cameras, lights, intensities), ``count``
+    (of the views), ``weight`` (1 / noise^2) and ``fixed`` (maps of the tile), and where they are asked for
+    ``scale`` (of the robust cost) and ``weights`` (of the tile's pixels).
 
     Args:
         mi: the ``mitsuba`` module with the variant to use.
@@ -52,8 +63,7 @@ class Kernel:
                  falloff: Falloff, transfer: color.Transfer) -> None:
         self.mi, self.unknowns, self.needs = mi, unknowns, needs
         self.side, self.falloff, self.transfer = side, falloff, transfer
-        self.rows = min(side, max(1, TILE // side))  # solved at once
-        self.texels, self.size = self.rows * side, unknowns.size
+        self.texels, self.size = tile_rows(side) * side, unknowns.size
         self.columns = columns_of(unknowns)
         self.pairs = pairs_of(self.columns)
         self.shader = HeldPlugin(mi, bsdf, needs)
@@ -141,8 +151,8 @@ class Texels:
         import drjit as dr
 
         mi, self.kernel, self.problem, self.kind = kernel.mi, kernel, problem, kind
-        self.index = problem["first"] + dr.arange(mi.UInt32, kernel.texels)
-        self.place = texel_position(mi, self.index, kernel.side)
+        self.index = dr.arange(mi.UInt32, kernel.texels)
+        self.place = texel_position(mi, problem["first"] + self.index, kernel.side)
         self.maps, self.stretch = traced_maps(mi, kernel.unknowns, x, problem["fixed"])
         Vector: Any = dr.float64_array_t(mi.Vector3f)
         self.axes, self.turns = None, []
@@ -196,7 +206,7 @@ class Texels:
         """Errors of the display values of a view, their weights, and their part of the cost."""
         import drjit as dr
 
-        problem, place = self.problem, view * self.kernel.side**2 + self.index
+        problem, place = self.problem, view * self.kernel.texels + self.index
         photo = dr.gather(self.kernel.mi.Color3f, problem["photos"], place)
         error = shown - photo
         weight = dr.select((photo >= CLIPPED) & (error > 0), 0, problem["weight"])

@@ -11,7 +11,6 @@ from ...measure.burn_in import cubic
 from ...views import Views, coverage_angle, geometry, strips
 from ..config import HierarchicalConfig
 from .scales import Scale
-from .sensor_noise import noise_at
 from .solver import Observations, Solved
 from .stages import Stages
 from .starts import stepped
@@ -46,12 +45,11 @@ class ObservationModel:
         noise, capture = float(self.stages.noise), scale.capture
         weighted = self.stages.tied and not scale.free and self.config.highlight_reach
         weights = self._trust(scale, estimate, self.config.highlight_reach) if weighted else None
-        if self.stages.told_by_brightness:
-            weights = (noise / noise_at(capture.photos.mean(dim=-1), self.stages.sensor)).square()
         if capture.measured is not None:
             weights = capture.measured * (1 if weights is None else weights)
-        return Observations(capture.photos, self.corrections.applied(capture.views), capture.transfer, noise,
-                            (ROBUST_END if scale.free else ROBUST) * noise, weights)
+        return Observations(capture.stored, self.corrections.applied(capture.views), capture.transfer, noise,
+                            (ROBUST_END if scale.free else ROBUST) * noise, weights,
+                            self.stages.sensor if self.stages.told_by_brightness else None)
 
     def stepped(self, scale: Scale, answer: TexelEstimate, prior: TexelPrior, steps: int) -> Solved:
         """The texels after some steps."""

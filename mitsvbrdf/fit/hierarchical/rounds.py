@@ -25,13 +25,14 @@ from ...material.maps import SVBRDF
 from ...material.resample import enlarged
 from ...render import make_renderer
 from ...render.needs import Needs, Omitted
-from ...views import Views
+from ...views import Views, strips
 from ..config import HierarchicalConfig
 from ..method import Method
 from ..start import robust_start
 from ..task import FitTask
 from .evidence import SEARCH_STEPS
 from .exact_photos import ExactPhotos
+from .kernel import tiles
 from .observations import ObservationModel
 from .omitted import omitted_stages
 from .real_photos import RealPhotos
@@ -39,7 +40,7 @@ from .scales import Scales
 from .shared_lobes import TRIED
 from .specular_test import Search
 from .stages import MOVED, NOISE, Stage, Stages, unexplained
-from .starts import LESS, other_starts
+from .starts import LESS, Start, other_starts, stepped
 from .texel_prior import TexelEstimate, TexelPrior
 from .time_budget import FAR_STEPS, LAST_STEPS, OTHER_STEPS, ROUND_STEPS, STEPS, TimeBudget
 from .view_corrections import LEVELLED, REFINED, ViewCorrections
@@ -149,18 +150,17 @@ class Hierarchical(Method[HierarchicalConfig]):
         steps = self.budget.steps(STEPS, self.budget.to_come) if fine else STEPS
         others = FAR_STEPS if lobes else OTHER_STEPS
         self.cut, (answer, cost) = steps < STEPS, self._scored(self.answer, steps)
-        moved = ((answer.x - self.answer.x).abs().amax(dim=0) > MOVED).float().mean()
-        first = cost.mean()
+        moved = sum(int(((answer.x[:, rows] - self.answer.x[:, rows]).abs().amax(dim=0) > MOVED).sum())
+                    for rows in strips(answer.x.shape[-1])) / cost.numel()
+        self.answer, first = answer, cost.mean()
         starts = lobes.starts(answer, turn) if lobes else other_starts(self.prior, turn)
         for start in starts if self.config.neighbours and self.stages.others else ():
             if fine and not self.budget.in_time(others * self.scale.texels):
                 self.cut = True
                 break
-            other, its = self._scored(start(answer), others)
-            better = its < cost * (1 - LESS)
-            answer, cost = answer.where(better, other), torch.where(better, its, cost)
+            answer, cost = self._scored(answer, others, start, cost)
         if not self.cut:
-            self.stages.moved(float(moved))
+            self.stages.moved(moved)
             self.stages.saved(float((first - cost.mean()) / first))
         last = (TRIED * others + LAST_STEPS) * self.scale.texels
         if lobes and self.stages.settled and not self.cut and self.budget.in_time(last):
@@ -169,13 +169,32 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.answer = answer
         return cost.mean()
 
-    def _scored(self, answer: TexelEstimate, steps: int) -> tuple[TexelEstimate, Tensor]:
-        """An answer after some steps, and the cost of each texel."""
-        found = self.seen.stepped(self.scale, answer, self.prior, steps)
-        answer, cost = answer._replace(x=found.x), found.data + found.prior
-        if lobes := self.exact.lobes:
-            cost += lobes.improbability(self.scale, self.seen.observations(self.scale, answer), answer)
-        return answer, cost
+    def _scored(self, answer: TexelEstimate, steps: int, start: Start = TexelEstimate.rows,
+                cost: Tensor | None = None) -> tuple[TexelEstimate, Tensor]:
+        """An answer after some steps from a start, and the cost of each texel, by tiles.
+
+        Args:
+            answer: all texels.
+            steps: of Levenberg-Marquardt.
+            start: from it.
+            cost: of the answer, R x R: texels keep what they are where they would not cost less.
+        """
+        photos, lobes = self.seen.observations(self.scale, answer), self.exact.lobes
+        whole, least = answer.blank(), torch.empty_like(answer.x[0])
+        with self.budget.timed("solver", steps * self.scale.texels):
+            for rows in tiles(len(least)):
+                begun, here = start(answer, rows), photos.of_rows(rows)
+                found = stepped(self.scale.solver, here, begun, self.prior, steps)
+                other, its = begun._replace(x=found.x), found.data + found.prior
+                if lobes:
+                    its += lobes.improbability(self.scale, here, other, rows)
+                if cost is not None:
+                    better = its < cost[rows] * (1 - LESS)
+                    other = answer.rows(rows).where(better, other)
+                    its = torch.where(better, its, cost[rows])
+                whole.put(rows, other)
+                least[rows] = its
+        return whole, least
 
     def _move_views(self) -> None:
         """Move camera and flash if this round does so; the patch as a whole is flat (in z = 0)."""
@@ -195,8 +214,8 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The present maps at full size, of tied texels with the freedom that they have in the end."""
-        x = enlarged(self.real.close(self.answer, self.scale) if self.stages.tied else self.answer.x,
-                     self.capture.resolution)
+        x = self.real.close(self.answer, self.scale) if self.stages.tied else self.answer.x
+        x = enlarged(x, self.capture.resolution) if x.shape[-1] < self.capture.resolution else x
         views, solver = self.corrections.applied(self.views), self.scales.solver(x.shape[-1])
         return solver.svbrdf(x).map(Tensor.contiguous), views
 
@@ -223,13 +242,15 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def state(self) -> dict[str, Tensor]:
         """The states of its parts."""
-        parts = self.answer._asdict(), *(part.state() for part in (self.stages, self.corrections, self.exact,
-                                                                   self.budget))
-        return {name: value.clone() for part in parts for name, value in part.items()}
+        parts = *(part.state() for part in (self.stages, self.corrections, self.exact, self.budget)),
+        copies = {name: value.clone() for part in parts for name, value in part.items()}
+        # nothing writes into the planes of an answer, which are large
+        return self.answer._asdict() | {"precision": self.answer.once()} | copies
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
-        self.answer = TexelEstimate(**{name: state[name].clone() for name in TexelEstimate._fields})
+        planes = {name: state[name] for name in TexelEstimate._fields}
+        self.answer = TexelEstimate(**planes | {"precision": state["precision"].expand_as(state["x"])})
         self.real.closed = None
         for part in (self.stages, self.corrections, self.budget):
             part.load_state(state)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
@@ -49,13 +49,17 @@ class Scale:
     @cached_property
     def member(self) -> Tensor:
         """How much of each basis material texels are, M x K."""
-        return membership(appearance_of(self.capture, self.guess), self.basis, self.width)
+        return torch.cat(list(self.members()))
+
+    def members(self) -> Iterator[Tensor]:
+        """The same, in parts."""
+        for part in appearance_of(self.capture, self.guess).split(STRIP):
+            yield membership(part, self.basis, self.width)
 
     def of_basis(self, values: Tensor) -> Tensor:
         """Numbers of the basis materials, S x K, as the texels have them by their look, S x R x R."""
-        looks, side = appearance_of(self.capture, self.guess), self.capture.resolution
-        return torch.cat([values @ membership(part, self.basis, self.width).T for part in looks.split(STRIP)],
-                         dim=1).reshape(-1, side, side)
+        side = self.capture.resolution
+        return torch.cat([values @ part.T for part in self.members()], dim=1).reshape(-1, side, side)
 
 
 class Scales:

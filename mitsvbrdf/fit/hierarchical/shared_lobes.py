@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 
 import torch
 import torch.nn.functional as F
@@ -12,20 +12,19 @@ from torch import Tensor
 
 from ...render import Renderer
 from .evidence import evidence, searched
+from .kernel import tile_rows
 from .lobes import Learner, Lobes
 from .observations import ObservationModel
 from .scales import COARSE, Scale
 from .sensor_noise import sensor_noise
 from .solver import Observations
-from .starts import other_starts
+from .starts import Start, other_starts
 from .texel_prior import FIXED, TexelEstimate, TexelPrior
 
 LIKELY = 8  # lobes that are tried in a texel: those most common among its look-alikes
 TRIED = LIKELY + 1  # by :meth:`SharedLobes.averaged`
 STEEPEST = 10.0  # slope of a normal: 84 degrees
 FAR_MORE = 30.0  # log of how much likelier than the present one a lobe may count
-
-Start = Callable[[TexelEstimate], TexelEstimate]
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +45,8 @@ class SharedLobes:
     def at(cls, lobes: Lobes, prior: TexelPrior, scale: Scale) -> SharedLobes:
         """Lobes for the texels of a scale."""
         side = scale.capture.resolution
-        return cls(lobes, prior.within("normal", -STEEPEST, STEEPEST),
-                   (-2 * lobes.shares(scale.member).log()).T.reshape(-1, side, side))
+        rare = torch.cat([(-2 * lobes.shares(part).log()).T for part in scale.members()], dim=1)
+        return cls(lobes, prior.within("normal", -STEEPEST, STEEPEST), rare.reshape(-1, side, side))
 
     @classmethod
     def searched(cls, prior: TexelPrior, scale: Scale, answer: TexelEstimate, seen: ObservationModel,
@@ -100,16 +99,19 @@ class SharedLobes:
         planes = {name: nearest(getattr(answer, name)) for name in ("x", "mean", "precision")}
         return answer._replace(lobe=nearest(answer.lobe[None])[0].long(), **planes)
 
-    def improbability(self, scale: Scale, photos: Observations, answer: TexelEstimate) -> Tensor:
-        """What costs lack to -2 log of the marginal likelihood of texels' lobes, R x R (Laplace)."""
+    def improbability(self, scale: Scale, photos: Observations, answer: TexelEstimate,
+                      rows: slice) -> Tensor:
+        """What costs lack to -2 log of the marginal likelihood of lobes, of some rows of texels (Laplace)."""
         _, narrowed = scale.solver.posterior(photos, answer.x, answer.precision)
         return (narrowed - answer.precision[self.prior.shared].log().sum(dim=0)
-                + self.rare.gather(0, answer.lobe[None])[0])
+                + self.rare[:, rows].gather(0, answer.lobe[None])[0])
 
-    def _others(self, answer: TexelEstimate) -> list[Tensor]:
-        """Lobes that texels may have: the common ones, and the last, that of texels like no others."""
-        common = self.rare.topk(min(LIKELY, len(self.rare)), dim=0, largest=False).indices
-        return [*common, torch.full_like(answer.lobe, len(self.rare) - 1)]
+    @cached_property
+    def others(self) -> list[Tensor]:
+        """Lobes that texels may have, 8 bits: common ones, and the last, that of texels like no others."""
+        common = torch.cat([part.topk(min(LIKELY, len(part)), dim=0, largest=False).indices.byte()
+                            for part in self.rare.split(tile_rows(self.rare.shape[-1]), dim=1)], dim=1)
+        return [*common, torch.full_like(common[0], len(self.rare) - 1)]
 
     def starts(self, answer: TexelEstimate, turn: int) -> list[Start]:
         """Other starts in a round: neighbours with their lobes, tilts, and other lobes.
@@ -118,13 +120,16 @@ class SharedLobes:
             answer: so far.
             turn: which round it is, from 1; in the first the other coarse texels nearby are starts, too.
         """
-        *common, wide = self._others(answer)
+        *common, wide = self.others
         half = answer.x.shape[-1] // COARSE // 2 if turn == 1 else 0
         corners = [(y, x) for y in (-half, half) for x in (-half, half)] if half else []
-        return [*(lambda _, y=y, x=x: answer.rolled(y, 1).rolled(x, 2) for y, x in corners),
+        return [*(lambda _, rows, y=y, x=x: answer.rows(rows, y, x) for y, x in corners),
                 *other_starts(self.prior, turn),
-                partial(self.having, lobe=common[turn % len(common)], at_mean=True),
-                partial(self.having, lobe=wide)]
+                partial(self._with, lobe=common[turn % len(common)], at_mean=True),
+                partial(self._with, lobe=wide)]
+
+    def _with(self, answer: TexelEstimate, rows: slice, lobe: Tensor, at_mean: bool = False) -> TexelEstimate:
+        return self.having(answer.rows(rows), lobe[rows].long(), at_mean)
 
     def averaged(self, answer: TexelEstimate, cost: Tensor,
                  scored: Callable[[TexelEstimate], tuple[TexelEstimate, Tensor]]) -> TexelEstimate:
@@ -136,7 +141,8 @@ class SharedLobes:
             scored: gives such an answer and its costs from a start.
         """
         x, total, had = answer.x, torch.ones_like(cost), [answer.lobe]
-        for lobe in self._others(answer):
+        for lobe in self.others:
+            lobe = lobe.long()
             other, its = scored(self.having(answer, lobe))
             new = torch.stack([lobe != before for before in had]).all(dim=0)
             likely = torch.where(new & its.isfinite(), ((cost - its) / 2).clamp_max(FAR_MORE).exp(), 0.0)

@@ -53,7 +53,7 @@ def appearance_of(capture: Capture, guess: Tensor) -> Tensor:
 def _appearance(capture: Capture, guess: Tensor, rows: slice) -> Tensor:
     """Of some rows."""
     _, _, irradiance = geometry(capture.views, capture.resolution, rows)
-    linear = color.decode(capture.photos[:, rows], capture.transfer)
+    linear = color.decode(color.shown(capture.stored[:, rows]), capture.transfer)
     albedo = over(math.pi * linear, irradiance).flatten(1, 2).transpose(0, 1)  # M x N x 3
     order, count = albedo.mean(dim=-1).argsort(dim=1), len(capture)
     middle = order[:, count // 4:max(count // 4 + 1, 3 * count // 4), None].expand(-1, -1, 3)

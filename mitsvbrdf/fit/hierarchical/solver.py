@@ -28,7 +28,8 @@ from ...render.plugins import register
 from ...render.texels import from_torch, to_torch
 from ...views import Views
 from ..fixed_maps import unknown_but
-from .kernel import Kernel
+from .kernel import Kernel, tiles
+from .sensor_noise import noise_at
 from .unknowns import Unknowns
 
 
@@ -40,7 +41,7 @@ class Observations:
     that is too dark counts.
 
     Args:
-        photos: N x R x R x 3, display values.
+        photos: N x R x R x 3, display values, or as a capture keeps them (:func:`mitsvbrdf.color.shown`).
         views: N views.
         transfer: how display values encode light.
         noise: standard deviation of a display value.
@@ -48,6 +49,7 @@ class Observations:
             et al. 1994); None for e^2. It never stops growing: a highlight that a start misses is an outlier,
             not to be given up as one.
         weights: w of each photo's pixels, N x R x R; None for 1.
+        sensor: noise by brightness (:mod:`.sensor_noise`), which w also counts; None: it is the same.
     """
 
     photos: Tensor
@@ -56,6 +58,22 @@ class Observations:
     noise: float
     robust: float | None = None
     weights: Tensor | None = None
+    sensor: Tensor | None = None
+    first: int = 0  # row of the texels that these are the first row of
+
+    def of_rows(self, rows: slice) -> Observations:
+        """Some rows of the photos."""
+        weights = None if self.weights is None else self.weights[:, rows]
+        return replace(self, photos=self.photos[:, rows], weights=weights, first=self.first + rows.start)
+
+    def in_rows(self, rows: slice) -> tuple[Tensor, Tensor | None]:
+        """Display values and weights of some rows of the photos, float32."""
+        photos, weights = color.shown(self.photos[:, rows]).float(), self.weights
+        weights = None if weights is None else weights[:, rows].float()
+        if self.sensor is not None:
+            told = (self.noise / noise_at(photos.mean(dim=-1), self.sensor)).square()
+            weights = told if weights is None else weights * told
+        return photos, weights
 
     def pick(self, rows: Sequence[int]) -> Observations:
         """The photos of these rows."""
@@ -184,29 +202,33 @@ class TexelSolver:
         with using_mitsuba(self.variant):
             pairs = self._kernel(observations, side).pairs
             (cost,), slope, curve = self._tiled(observations, self._kernel(observations, side).equations, x)
-        dense = curve.new_zeros(count, count, side, side)
+        dense = curve.new_zeros(count, count, *x.shape[1:])
         for (i, j), value in zip(pairs, curve):
             dense[i, j] = dense[j, i] = value
         return cost, slope, dense
 
     def _tiled(self, observations: Observations, kernel: Callable[..., Sequence[list]],
                *planes: Tensor) -> list[Tensor]:
-        """Copies of what a kernel makes of planes ? x R x R, each ? x R x R, by tiles of rows.
+        """Copies of what a kernel makes of planes ? x R x R, each ? x R x R, by :func:`.kernel.tiles`.
 
-        The last tile begins early enough to be as large as the others. No Dr.Jit array outlives the call.
+        The planes may be some rows alone, those of the observations. No Dr.Jit array outlives the call.
         """
-        side, found = planes[0].shape[-1], list[Tensor]()
-        problem, rows = self._problem(observations, side), self._kernel(observations, side).rows
+        (count, side), found = planes[0].shape[1:], list[Tensor]()
+        problem = self._problem(observations, side)
         fixed = problem.pop("fixed")
-        for first in range(0, side, rows):
-            of = slice(min(first, side - rows), min(first, side - rows) + rows)
-            here = problem | {"first": opaque(self.mi, of.start * side), "fixed": {
-                name: self._planes(value[:, of]) for name, value in fixed.items()}}
-            parts = [to_torch(part).reshape(-1, rows, side).to(planes[0].device)
+        for of in tiles(side, count):
+            photos, weights = observations.in_rows(of)
+            first = observations.first + of.start
+            here = problem | {"first": opaque(self.mi, first * side), "photos": from_torch(self.mi, photos),
+                              "fixed": {name: self._planes(value[:, first:first + len(photos[0])])
+                                        for name, value in fixed.items()}}
+            if weights is not None:
+                here["weights"] = from_torch(self.mi, weights)
+            parts = [to_torch(part).reshape(-1, len(photos[0]), side).to(planes[0].device)
                      for part in kernel(here, *(self._planes(plane[:, of]) for plane in planes))]
-            if rows == side:
+            if len(photos[0]) == count:
                 return parts
-            found = found or [part.new_empty(len(part), side, side) for part in parts]
+            found = found or [part.new_empty(len(part), count, side) for part in parts]
             for whole, part in zip(found, parts):
                 whole[:, of] = part
         return found
@@ -222,17 +244,18 @@ class TexelSolver:
                        if name in self.fixed}
 
     def _problem(self, observations: Observations, side: int) -> dict:
-        """The observations as Dr.Jit arrays, and the fixed maps, C x R x R, for a kernel."""
+        """What a kernel needs to know of the observations beside their pixels, as Dr.Jit arrays.
+
+        The fixed maps are torch tensors, C x R x R.
+        """
         mi, views = self.mi, observations.views.in_patch_sides().to(torch.float64)
         _, fixed = self._known(observations.views, side)
-        problem = {"photos": from_torch(mi, observations.photos.float()), "count": opaque(mi, len(views)),
+        problem = {"count": opaque(mi, len(views)),
                    "weight": opaque(mi, observations.noise**-2.0),
                    "views": [from_torch(mi, v) for v in (views.camera, views.light, views.intensity)],
                    "fixed": {name: value.permute(2, 0, 1) for name, value in fixed.items()}}
         if observations.robust is not None:
             problem["scale"] = opaque(mi, float(observations.robust))
-        if observations.weights is not None:
-            problem["weights"] = from_torch(mi, observations.weights.float())
         return problem
 
     def _kernel(self, observations: Observations, side: int) -> Kernel:

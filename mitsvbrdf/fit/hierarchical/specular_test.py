@@ -147,7 +147,7 @@ def least_errors(solver: TexelSolver, photos: Observations, prior: TexelPrior, s
         x, errors = tried(answer._replace(x=start), steps)
     for later in range(rounds):
         for other in other_starts(prior, turn + later):
-            x, errors = tried(other(answer._replace(x=x)), steps // 2)
+            x, errors = tried(other(answer._replace(x=x), slice(0, len(x[0]))), steps // 2)
     return x, errors.double() * photos.noise**2
 
 

@@ -27,20 +27,27 @@ def stepped(solver: TexelSolver, observations: Observations, answer: TexelEstima
 
 def variances(solver: TexelSolver, observations: Observations, answer: TexelEstimate) -> Tensor:
     """Of the unknowns, given photos and prior, U x R x R."""
-    return solver.variances(observations, answer.x, answer.precision + LEAST_PRECISION)
+    once = answer.once()
+    return solver.variances(observations, answer.x, (once + LEAST_PRECISION).expand_as(answer.x))
 
 
-def other_starts(prior: TexelPrior, turn: int) -> list[Callable[[TexelEstimate], TexelEstimate]]:
+# gives the start of some rows of texels, all of which are known
+Start = Callable[[TexelEstimate, slice], TexelEstimate]
+
+
+def other_starts(prior: TexelPrior, turn: int) -> list[Start]:
     """Starts from two neighbours and two tilts; others in each turn."""
-    starts: list[Callable[[TexelEstimate], TexelEstimate]] = [
-        partial(TexelEstimate.rolled, by=1 if turn % 2 else -1, axis=axis) for axis in (1, 2)]
+    by = 1 if turn % 2 else -1
+    starts: list[Start] = [partial(TexelEstimate.rows, down=by), partial(TexelEstimate.rows, right=by)]
     if len(prior.slopes):
         starts += [partial(_tilted, prior=prior, steep=TILTS[turn % len(TILTS)], along=GOLDEN * turn
                            + half_turn) for half_turn in (0.0, math.pi)]
     return starts
 
 
-def _tilted(answer: TexelEstimate, prior: TexelPrior, steep: float, along: float) -> TexelEstimate:
+def _tilted(answer: TexelEstimate, rows: slice, prior: TexelPrior, steep: float,
+            along: float) -> TexelEstimate:
+    answer = answer.rows(rows)
     x = answer.x.clone()
     x[prior.shared] = answer.mean[prior.shared]
     x[prior.slopes] = torch.tensor([steep * math.cos(along), steep * math.sin(along)])[:, None, None]

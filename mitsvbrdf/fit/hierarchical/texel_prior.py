@@ -51,12 +51,35 @@ class TexelEstimate(NamedTuple):
         return self._replace(**{name: torch.where(better, getattr(other, name), getattr(self, name))
                                 for name in changed})
 
-    def rolled(self, by: int, axis: int) -> TexelEstimate:
-        """Each texel as a neighbour along axis 1 or 2 is, its prior too where it goes with its lobe."""
-        planes = {name: torch.roll(getattr(self, name), by, axis)
-                  for name in (("x", "mean", "precision") if len(self.lobe) else ("x",))}
-        lobe = torch.roll(self.lobe, by, axis - 1) if len(self.lobe) else self.lobe
-        return self._replace(lobe=lobe, **planes)
+    def rows(self, rows: slice, down: int = 0, right: int = 0) -> TexelEstimate:
+        """Some rows of texels, or each as the neighbour is that lies so far above and to the left.
+
+        Its prior, too, where that goes with its lobe.
+        """
+        changed = ("x", "mean", "precision", "lobe") if len(self.lobe) else ("x",)
+        at = (torch.arange(rows.start, rows.stop) - down) % self.x.shape[1]
+
+        def taken(name: str) -> Tensor:
+            planes = getattr(self, name)
+            if name not in changed or not (down or right):
+                return planes[..., rows, :] if planes.dim() > 1 else planes
+            return planes[..., at, :].roll(right, -1)
+
+        return self._replace(**{name: taken(name) for name in ("x", "mean", "precision", "lobe")})
+
+    def once(self) -> Tensor:
+        """The precision of the prior; U x 1 x 1 where it is kept once for all texels."""
+        return self.precision[:, :1, :1] if self.precision.stride(-1) == 0 else self.precision
+
+    def put(self, rows: slice, part: TexelEstimate) -> None:
+        """Write texels of some rows, and their prior where it goes with their lobe, into these planes."""
+        for name in ("x", "mean", "precision", "lobe") if len(self.lobe) else ("x",):
+            getattr(self, name)[..., rows, :] = getattr(part, name)
+
+    def blank(self) -> TexelEstimate:
+        """Planes for :meth:`put`, of which nothing is known."""
+        changed = ("x", "mean", "precision", "lobe") if len(self.lobe) else ("x",)
+        return self._replace(**{name: torch.empty_like(getattr(self, name)) for name in changed})
 
 
 class TexelPrior:
@@ -85,9 +108,9 @@ class TexelPrior:
         return values.clamp(self.low[of, None, None], self.high[of, None, None])
 
     def _precision(self, x: Tensor, deviation: Callable[[str], float]) -> Tensor:
-        """Precisions, U x R x R, from the standard deviation of each map."""
-        return torch.stack([torch.full_like(plane, deviation(name) ** -2.0)
-                            for plane, name in zip(x, self.unknowns.names, strict=True)])
+        """Precisions, U x R x R, from the standard deviation of each map; kept once for all texels."""
+        each = torch.tensor([deviation(name) ** -2.0 for name in self.unknowns.names])
+        return each[:, None, None].expand_as(x)
 
     def vague(self, x: Tensor) -> TexelEstimate:
         """A start with a vague prior around it."""
@@ -150,12 +173,12 @@ class TexelPrior:
 
     def loosen(self, answer: TexelEstimate, variance: Tensor) -> TexelEstimate:
         """Set the spread around the tied estimate to the one seen (expectation-maximisation)."""
-        precision = answer.precision.clone()
+        each = answer.precision[:, 0, 0].clone()
         for name in sorted(set(self.unknowns.shapes) & set(FREEDOM)):
             of = self.unknowns.of(name)
             went = ((answer.x[of] - answer.mean[of]).square() + variance[of]).mean().sqrt()
-            precision[of] = float(went.clamp(*self._freedom(name)[1:])) ** -2.0
-        return answer._replace(precision=precision)
+            each[of] = float(went.clamp(*self._freedom(name)[1:])) ** -2.0
+        return answer._replace(precision=each[:, None, None].expand_as(answer.x))
 
     def fixed_but_diffuse(self, answer: TexelEstimate) -> TexelEstimate:
         """A prior around the answer by which nothing but the diffuse map may move."""

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import pytest
 import torch
-from helpers import GRID
+from helpers import GRID, MITSUBA, photos_of
+from helpers.hierarchical_fits import method_of
 
 from mitsvbrdf import views
 from mitsvbrdf.capture import Capture
-from mitsvbrdf.fit.hierarchical import kernel
+from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf
+from mitsvbrdf.fit.hierarchical import kernel, scales, stages
+from mitsvbrdf.fit.hierarchical.sensor_noise import noise_at
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
+from mitsvbrdf.fit.hierarchical.texel_prior import TexelEstimate
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure import rerender
 from mitsvbrdf.measure.metrics import photo_rmse
@@ -76,3 +83,75 @@ def test_errors_of_strips_and_of_views_one_by_one(monkeypatch):
     said = error[0].square().mean(dim=-1)[measured[0]].mean().sqrt()
     assert abs(float(said) / each[0] - 1) < 1e-3  # the response has a straight toe
     assert torch.equal(coverage_angle(GRID, SIDE), half_angles(GRID, SIDE).amin(dim=0))
+
+
+def test_rows_of_photos_give_the_rows_of_the_answer(monkeypatch):
+    monkeypatch.setattr(kernel, "TILE", 4 * SIDE)
+    stored = (some_photos() * 255).round().byte()
+    sensor = torch.stack((torch.linspace(0, 1, 16), torch.linspace(0.02, 0.05, 16)))
+    photos = Observations(stored, GRID, "gamma2.2", 0.03, 0.1, sensor=sensor)
+    # the same as floats, with the weights said
+    decoded = stored.float() / 255
+    told = Observations(decoded, GRID, "gamma2.2", 0.03, 0.1,
+                        (0.03 / noise_at(decoded.mean(dim=-1), sensor)).square())
+    solver = TexelSolver("roughconductor")
+    x = torch.rand(solver.unknowns.size, SIDE, SIDE, generator=torch.Generator().manual_seed(2)) * 0.5 + 0.1
+    whole = solver.normal_equations(told, x)
+    for rows in kernel.tiles(SIDE):
+        part = solver.normal_equations(photos.of_rows(rows), x[:, rows])
+        assert all(torch.equal(one, each[..., rows, :]) for one, each in zip(part, whole))
+    assert [rows.stop for rows in kernel.tiles(SIDE)] == [4, 8, 10]
+
+
+def test_starts_from_neighbours_are_planes_rolled():
+    planes = torch.arange(2.0 * SIDE * SIDE).reshape(2, SIDE, SIDE)
+    answer, rows = TexelEstimate(planes, planes + 0.1, planes + 0.2, torch.zeros(1)), slice(7, 10)
+    for down, right in ((1, 0), (-1, 0), (0, 1), (3, -2)):
+        assert torch.equal(answer.rows(rows, down, right).x, planes.roll((down, right), (1, 2))[:, rows])
+        assert torch.equal(answer.rows(rows, down, right).mean, answer.mean[:, rows])  # a texel's own
+    lobed = answer._replace(lobe=planes[0].long())
+    assert torch.equal(lobed.rows(rows, 1).mean, answer.mean.roll(1, 1)[:, rows])
+    assert torch.equal(lobed.rows(rows, 1).lobe, lobed.lobe.roll(1, 0)[rows])
+
+
+@pytest.mark.parametrize("exact", [False, True])
+def test_photos_as_stored_give_the_same_fit(exact, monkeypatch):
+    """In one tile of floats, and in tiles of photos that are kept in 8 bits."""
+    monkeypatch.setattr(stages, "EXACT", 1.0 if exact else 0.0)
+    monkeypatch.setattr(scales, "COARSE", 8)
+    shots, ends = photos_of(make_material("inlay", 16)), []
+    stored = (shots.photos * 255).round().byte()
+    for photos, tile in ((stored.float() / 255, 16 * 16), (stored, 5 * 16)):
+        monkeypatch.setattr(kernel, "TILE", tile)
+        ends.append(fit_svbrdf(replace(shots, photos=photos), MITSUBA, HierarchicalConfig(budget=1e4)))
+    first, second = ends
+    assert all(torch.equal(first.svbrdf[name], second.svbrdf[name]) for name in first.svbrdf.maps)
+    assert first.record["per_photo"] == second.record["per_photo"]
+    assert first.record["confidence"] == second.record["confidence"]
+    assert torch.equal(first.photos, second.photos)
+
+
+def test_a_state_keeps_equal_precisions_once(monkeypatch):
+    monkeypatch.setattr(stages, "EXACT", 0.0)
+    monkeypatch.setattr(scales, "COARSE", 8)
+    method = method_of(photos_of(make_material("leather", 16)))
+    while method.stages.stage != stages.Stage.FINE:
+        method.step(0.0)
+    state = method.state()
+    assert state["precision"].shape == (9, 1, 1)
+    again = method_of(method.capture)
+    again.load_state(state)
+    assert again.answer.precision.shape == method.answer.x.shape
+    method.step(0.0)
+    again.step(0.0)
+    assert torch.equal(method.answer.x, again.answer.x)
+
+
+def test_renderings_that_are_not_kept_are_made_again(monkeypatch):
+    shots = photos_of(make_material("leather", 16))
+    kept = fit_svbrdf(shots, MITSUBA, HierarchicalConfig(iterations=2))
+    monkeypatch.setattr(rerender, "PIXELS", 2 * 16 * 16)
+    made = fit_svbrdf(shots, MITSUBA, HierarchicalConfig(iterations=2))
+    assert "rerendered" in kept.known and "rerendered" not in made.known
+    assert torch.equal(kept.rerendered, made.rerendered)
+    assert torch.equal(kept.known["sample"], made.known["sample"]) and kept.warnings == made.warnings
