@@ -25,6 +25,7 @@ from ..views import Falloff, Views, default_views
 from .capture import LEAST_SIDE, Calibration, Capture, Converted, converted, notes_of
 from .photo import HEIC, PLAIN, files_of
 from .rectify import filled
+from .sharpness import CLEARLY, MOST_PHOTOS, carried, middle
 
 NUMBER = Annotated[float, Meta(ge=-1e300, le=1e300)]  # no NaN either
 ROW = Annotated[list[NUMBER], Meta(min_length=3, max_length=3)]
@@ -147,10 +148,12 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
     if (held := len(paths) * kept**2) > MOST_HELD:
         raise CaptureError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together",
                            f"{held / 1e6:.0f} in {source}", "read them at a lower resolution")
-    photos, outside = np.empty(0), {}
+    photos, outside, middles = np.empty(0), {}, list[np.ndarray]()
     for row, (path, about) in enumerate(zip(paths, headers)):
         found = picture(path, CaptureError)
         pixels = upright(found.pixels, about.orientation)
+        if side >= CLEARLY * kept and row < MOST_PHOTOS:
+            middles.append(middle(pixels))
         if kept < side or found.opaque is not None:
             pixels = averaged(pixels, kept)
         if not row:
@@ -166,7 +169,7 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
     colours = {**(told or {}),
                **converted({path.name: about.profile for path, about in zip(paths, headers)}, outside)}
     return Capture(pictures, views, transfer, tuple(index), calibration, source, tuple(notes_of(colours)),
-                   colours, measured)
+                   colours, measured, carried(middles, side, kept) if middles else None)
 
 
 def _common_side(paths: list[Path], sizes: list[tuple[int, int]], source: Path) -> int:

@@ -106,6 +106,8 @@ class Capture:
         notes: what a user should know about how it was read (rejected photos, default geometry, ...).
         colours: what was converted to sRGB, by the name of the photos' colour profile.
         measured: N x R x R, False where photos are made up (masked, or beyond an edge); None: nowhere.
+        carries: pixels a side that they carried detail of before they were shrunk (:mod:`.sharpness`); None:
+            not asked.
 
     Raises:
         CaptureError: photos of another shape or with values that no photo has, or not a view and a number for
@@ -122,6 +124,7 @@ class Capture:
     notes: tuple[str, ...] = ()
     colours: Mapping[str, Converted] = field(default_factory=dict)
     measured: Tensor | None = None
+    carries: int | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, "views", "transfer", "calibration", "source")

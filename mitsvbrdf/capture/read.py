@@ -24,6 +24,7 @@ from .capture import LEAST_SIDE, Capture, converted, notes_of, used_transfer
 from .lens import field_of_view
 from .photo import Photo, Unreadable, differences, photos_in, with_one_balance
 from .rectify import filled
+from .sharpness import CLEARLY, MOST_PHOTOS, carried, middle
 from .turned import laid_alike
 
 MOST_SQUARE = 2048  # pixels a side of what is read of a photo without calibration
@@ -254,6 +255,9 @@ def _shrunk(capture: Capture, resolution: int | None) -> Capture:
     if resolution > capture.resolution:
         note = f"the photos have {capture.resolution} pixels a side, so they are not enlarged to {resolution}"
         return capture.but(notes=(*capture.notes, note))
-    photos = [averaged(photo.numpy(), resolution) for photo in capture.stored]
-    return capture.but(photos=torch.from_numpy(np.stack(photos)),
-                   measured=capture.measured_at(resolution))
+    photos, carries = [averaged(photo.numpy(), resolution) for photo in capture.stored], None
+    if capture.resolution >= CLEARLY * resolution:
+        middles = [middle(photo.numpy()) for photo in capture.stored[:MOST_PHOTOS]]
+        carries = carried(middles, capture.resolution, resolution)
+    return capture.but(photos=torch.from_numpy(np.stack(photos)), measured=capture.measured_at(resolution),
+                       carries=carries)

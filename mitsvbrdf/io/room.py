@@ -1,0 +1,35 @@
+"""Whether a command's work fits into the memory of this machine and onto the disk, asked before it begins."""
+
+import math
+import os
+import shutil
+from pathlib import Path
+
+from ..errors import ConfigError
+from .provenance import memory_gib
+
+PROCESS = 0.7  # GiB of a process that has loaded torch and Mitsuba
+
+
+def check_room(side: int, held: float, out: Path | None = None, written: float = 0.0,
+               way_out: str = "--resolution {} fits") -> None:
+    """Raise ConfigError, naming what would fit, where a command cannot end for lack of memory or disk.
+
+    Args:
+        side: texels or pixels a side of what it works on.
+        held: bytes of memory that it needs for each of them, as measured.
+        out: what it writes to; None: nothing large.
+        written: bytes that it writes for each of them.
+        way_out: what to say of the largest side that fits.
+    """
+    memory = memory_gib()[1]
+    rooms = [("memory", memory - PROCESS, held, PROCESS)]
+    if out is not None:
+        place = Path(os.path.realpath(out))
+        there = next(folder for folder in (place, *place.parents) if folder.is_dir())
+        rooms.append((f"space on the disk of {out}", shutil.disk_usage(there).free / 2**30, written, 0.0))
+    for what, free, each, beside in rooms:
+        if (needed := each * side**2 / 2**30) > free:
+            fits = math.isqrt(int(max(free, 0.0) * 2**30 / each)) // 64 * 64
+            raise ConfigError(f"{needed + beside:.1f} GiB of {what} for {side} px",
+                              f"{free + beside:.1f} GiB", way_out.format(fits) if fits else "free some")
