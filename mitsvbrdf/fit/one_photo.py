@@ -21,16 +21,12 @@ from .method import Method, cosine
 from .start import robust_start
 from .task import FitTask
 
-# Roughness and F0 of classes that begin with the looks of pixels, and of metals, without diffuse colours.
-LOOKS = (0.2, 0.04), (0.4, 0.04), (0.7, 0.04)
-METALS, BLACK = ((0.3, 0.1), (0.25, 0.3), (0.25, 0.7), (0.45, 0.5)), 0.02
-# Reliefs of their classes: equal classes would have equal gradients and stay equal.
-ALIKE, APART = (0.1,) * CLASSES, tuple(0.1 * 2.0 ** (k - CLASSES // 2) for k in range(CLASSES))
+STARTS = ((0.2, 0.04), (0.4, 0.04), (0.7, 0.04), (0.25, 0.3), (0.25, 0.7), (0.45, 0.5))  # roughness, F0
 TRIED, STEPS, ITERATIONS = 50, 120, 10  # descents of a start and of the best one, and those of a step
 FEW, MANY = 512, 1536  # pixels of a descent
 NODES, MORE, MOST = 16, 24, 64  # what a pixel is averaged over: in descents of all, of the best, in the end
 RATES = 0.06, 0.03  # of Adam for all starts and for the best one
-BEFOREHAND = 1e-3  # weight of what is known beforehand, beside the log likelihood of a pixel
+PIXELS = 64.0  # what is known beforehand of a class counts as so many of the photo's pixels
 STATIONARY = 1.0  # weight of how uneven texels are, beside the log likelihood of a pixel
 UNLIKELIEST = -60.0  # log likelihood of a pixel that no class explains, at least
 CHUNK = 2048  # pixels at once
@@ -68,14 +64,13 @@ class OnePhoto(Method[HierarchicalConfig]):
 
     def _starts(self) -> list[Tensor]:
         """Numbers of classes that look as pixels do away from the highlight, with each lobe."""
-        flat = LookClasses.start(torch.full((CLASSES, 3), 0.5), *LOOKS[0], ALIKE)
+        flat = LookClasses.start(torch.full((CLASSES, 3), 0.5), *STARTS[0])
         half, white = LookClasses(flat, self.views, True).lit(self.pixels.at)
         aside = half.norm(dim=1) > half.norm(dim=1).median()
         looks = color.encode((self.pixels.shown / white).clamp(0, 1))[aside]
         found = basis_materials(F.pad(looks, (0, 2)).contiguous(), CLASSES, self.config.seed)[:, :3]
         found = torch.cat((found, found[-1:].expand(CLASSES - len(found), -1)))
-        return [LookClasses.start(colours, *lobe, relief) for colours, lobes, relief in (
-            (found, LOOKS, ALIKE), (torch.full_like(found, BLACK), METALS, APART)) for lobe in lobes]
+        return [LookClasses.start(found, *lobe) for lobe in STARTS]
 
     def _descend_from(self, numbers: Tensor) -> None:
         self.numbers = numbers.clone().requires_grad_()
@@ -89,11 +84,11 @@ class OnePhoto(Method[HierarchicalConfig]):
     @property
     def done(self) -> bool:
         """Whether the last descent has ended."""
-        return self.done_steps >= len(self.starts) + STEPS // ITERATIONS
+        return self.done_steps >= len(STARTS) + STEPS // ITERATIONS
 
     def step(self, progress: float) -> dict[str, float]:
         """All descents from a start, or the next ones from the best."""
-        last = self.done_steps - len(self.starts)
+        last = self.done_steps - len(STARTS)
         with profiled("solver"):
             if last < 0:
                 self._descend_from(self.starts[self.done_steps])
@@ -116,7 +111,7 @@ class OnePhoto(Method[HierarchicalConfig]):
             classes = LookClasses(self.numbers, self.views, self.held)
             found = classes.posterior(some, nodes(pixels, many, k))
             likely = found.likely.flatten(1).logsumexp(dim=1).clamp_min(UNLIKELIEST).mean()
-            cost = STATIONARY * classes.uneven(found, some.at) - likely - BEFOREHAND * classes.prior()
+            cost = STATIONARY * classes.uneven(found, some.at) - likely - classes.prior() * PIXELS / total
             self.optimizer.param_groups[0]["lr"] = rate * cosine(k / of, 0.05)
             self.optimizer.zero_grad()
             cost.backward()
@@ -132,7 +127,7 @@ class OnePhoto(Method[HierarchicalConfig]):
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The texels by the present classes; before all starts were tried, the robust start."""
-        if self.done_steps < len(self.starts):
+        if self.done_steps < len(STARTS):
             return self.begun, self.views
         classes, parts = self.classes, []
         with torch.no_grad():

@@ -13,7 +13,6 @@ from ..views import half_angles
 # The test: rings of equal half angle, and blocks of the photo a side; how much of the variance of ranks lies
 # between blocks, and by how much of their lightness blocks differ, where the pattern is as large as they are.
 RINGS, BLOCKS, BETWEEN, CONTRAST = 32, 4, 0.25, 0.05
-HARDLY_TOLD = "specular, roughness and normals are hardly determined; take more from other places"
 
 
 class Repeats(NamedTuple):
@@ -40,7 +39,7 @@ class Repeats(NamedTuple):
         if self.stationary:
             return (f"one photo, taken for that of a material that repeats itself: {found}; specular, "
                     "roughness and normals are those of its looks, hardly any texel's own")
-        return f"one photo, not taken for that of a material that repeats itself: {found}; {HARDLY_TOLD}"
+        return f"one photo, not taken for that of a material that repeats itself: {found}"
 
 
 def repeats(capture: Capture, asked: bool | None = None) -> Repeats:

@@ -48,7 +48,7 @@ class RealPhotos:
     def at_full_size(self, answer: TexelEstimate, scale: Scale) -> tuple[Scale, TexelEstimate]:
         """A tied answer enlarged; texels are free to leave it."""
         fine = self.scales.of(Stage.FINE, free=True)
-        return fine, self.prior.free(self.prior.enlarge(answer, scale, fine, tied=True))
+        return fine, self.prior.enlarge(answer, scale, fine, tied=True)
 
     def learn_noise(self, tied: TexelEstimate, scale: Scale, hurried: bool) -> None:
         """Learn the noise at full size, by which each photo is predicted well from the others, if in time."""
@@ -66,7 +66,7 @@ class RealPhotos:
             for _ in range(AGREED):
                 answer = self.next_prior(scale, others, answer._replace(
                     x=stepped(scale.solver, others, answer, self.prior, STEPS).x))
-            starts[photo] = self.prior.free(self.prior.enlarge(answer, scale, sharp, tied=True))
+            starts[photo] = self.prior.enlarge(answer, scale, sharp, tied=True)
         photos = replace(self.seen.observations(sharp, tied), robust=ROBUST_END * NOISE, noise=NOISE,
                          weights=sharp.capture.measured)
         return NOISES[least_as_good(prediction_errors(photos, sharp.solver, self.prior, starts, NOISES))]

@@ -224,8 +224,9 @@ class TexelSolver:
                                         for name, value in fixed.items()}}
             if weights is not None:
                 here["weights"] = from_torch(self.mi, weights)
+            here_planes = apart([plane[:, of] for plane in planes])
             parts = [to_torch(part).reshape(-1, len(photos[0]), side).to(planes[0].device)
-                     for part in kernel(here, *(self._planes(plane[:, of]) for plane in planes))]
+                     for part in kernel(here, *map(self._planes, here_planes))]
             if len(photos[0]) == count:
                 return parts
             found = found or [part.new_empty(len(part), count, side) for part in parts]
@@ -264,6 +265,15 @@ class TexelSolver:
         if key not in self._kernels:
             self._kernels[key] = Kept(Kernel(self.mi, self.bsdf, self.unknowns, *key))
         return self._kernels[key].content
+
+
+def apart(values: Sequence[Tensor]) -> list[Tensor]:
+    """The values, none in the memory of another: it is one variable to Dr.Jit.
+
+    A frozen function that once was called with one variable for two would take it for both in later calls.
+    """
+    places = [value.data_ptr() for value in values]
+    return [value.clone() if places[k] in places[:k] else value for k, value in enumerate(values)]
 
 
 def opaque(mi: ModuleType, value: SupportsFloat) -> Any:

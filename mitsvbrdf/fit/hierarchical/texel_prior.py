@@ -153,10 +153,13 @@ class TexelPrior:
         return answer._replace(mean=mean, precision=precision)
 
     def enlarge(self, answer: TexelEstimate, coarse: Scale, fine: Scale, tied: bool) -> TexelEstimate:
-        """An estimate at full size; shared unknowns follow look-alikes (joint upsampling, Kopf 2007)."""
+        """An estimate at full size, where tied texels are set free.
+
+        Shared unknowns of these follow look-alikes (joint upsampling, Kopf 2007).
+        """
         side = fine.capture.resolution
         if side == coarse.capture.resolution and fine.capture is coarse.capture:
-            return answer
+            return self.free(answer) if tied else answer
         x = enlarged(answer.x, side)
         if tied and len(self.shared):
             own = answer.x[self.shared]
@@ -164,11 +167,13 @@ class TexelPrior:
             off = own - (alike @ coarse.member.T).reshape(own.shape)
             x[self.shared] = enlarged(off, side) + fine.of_basis(alike)
             x[self.shared] = self.bounded(x[self.shared], self.shared)
+        if tied:
+            return self.free(answer._replace(x=x))
         return TexelEstimate(x, enlarged(answer.mean, side), enlarged(answer.precision, side), answer.spread)
 
     def free(self, answer: TexelEstimate) -> TexelEstimate:
         """Let every texel leave its tied answer, which becomes its prior; the diffuse map as it likes."""
-        return answer._replace(mean=answer.x.clone(),
+        return answer._replace(mean=answer.x,
                                precision=self._precision(answer.x, lambda name: self._freedom(name)[0]))
 
     def loosen(self, answer: TexelEstimate, variance: Tensor) -> TexelEstimate:

@@ -45,6 +45,21 @@ def test_tiles_give_the_same_bits(monkeypatch):
     assert not torch.equal(found[0][0], x)
 
 
+def test_a_start_that_is_its_own_prior_is_two_things():
+    """Also to the next call, whose prior is another: Dr.Jit would take it for the start."""
+    observations, generator = Observations(some_photos(), GRID, "gamma2.2", 0.03), torch.Generator()
+    solver, fresh = TexelSolver("roughconductor"), TexelSolver("roughconductor")
+    x, mean = (0.2 + 0.5 * torch.rand(9, SIDE, SIDE, generator=generator.manual_seed(k)) for k in (3, 4))
+
+    def solved(solver, mean):
+        return solver.solve(observations, x, torch.full((SIDE, SIDE), 0.01), mean, torch.full_like(x, 100.0),
+                            torch.full((9,), 0.05), torch.ones(9), 3).x
+
+    own = solved(solver, x)
+    assert torch.equal(solved(solver, mean), solved(fresh, mean))
+    assert torch.equal(own, solved(fresh, x.clone())) and not torch.equal(own, solved(fresh, mean))
+
+
 def test_texels_that_have_arrived_stay(monkeypatch):
     """Steps beyond the end of a search change nothing that counts: 1e-4 is what ends it."""
     observations = Observations(some_photos(), GRID, "gamma2.2", 0.03)
