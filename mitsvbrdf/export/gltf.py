@@ -5,6 +5,7 @@ Source: glTF 2.0 specification (Khronos), sections 3.9.2 and 4.4; KHR_materials_
 
 import json
 import struct
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -71,8 +72,8 @@ def _glb(textures: dict[str, Tensor], specular: dict, settings: ExportSettings) 
     side, blob, views = settings.side or 1.0, bytearray(), list[dict]()
     numbers = [tuple(side * x for x in CORNERS), *FRAME]
     parts: list[tuple[bytes, dict]] = [(struct.pack(f"<{len(each)}f", *each), VERTICES) for each in numbers]
-    parts += [(struct.pack("<6H", *TRIANGLES), INDICES), *((images.encode_png(each), {}) for each in
-                                                           textures.values())]
+    pictures = images.write_all([partial(images.encode_png, each) for each in textures.values()])
+    parts += [(struct.pack("<6H", *TRIANGLES), INDICES), *((each, {}) for each in pictures)]
     for data, about in parts:
         blob.extend(b"\0" * (-len(blob) % 4))
         views.append({"buffer": 0, "byteOffset": len(blob), "byteLength": len(data), **about})

@@ -15,7 +15,7 @@ from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..material.naming import FILE_NAMES
 from ..material.relief import heights, occlusion
 from .residual import residual
-from .textures import DEFAULTS, LINEAR, NORMALS, NOTES, Export, ExportSettings, Texture, stored, write_texture
+from .textures import DEFAULTS, LINEAR, NORMALS, NOTES, Export, ExportSettings, Texture, Textures, stored
 
 LONGEST = 100  # bytes of a material's name in file names; more would not fit every file system
 
@@ -49,11 +49,12 @@ def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
              "height": f"height over {unit}, plus 0.5"}
     chosen = {key.removesuffix(f" {normal}"): file for key, file in FILE_NAMES[naming].items()}
     written = []
-    for key, file in chosen.items():
-        if key in both and not (key == "specular_level" and svbrdf.bsdf == "principled"):
-            texture = write_texture(folder, f"{file.replace('NAME', _safe(settings.name))}.png", key,
-                                    both[key], 16 if key == "height" else settings.bits, normal)
-            written.append(replace(texture, holds=holds.get(key, key)))
+    with Textures(folder) as textures:
+        for key, file in chosen.items():
+            if key in both and not (key == "specular_level" and svbrdf.bsdf == "principled"):
+                texture = textures.add(f"{file.replace('NAME', _safe(settings.name))}.png", key,
+                                       both[key], 16 if key == "height" else settings.bits, normal)
+                written.append(replace(texture, holds=holds.get(key, key)))
     if naming in ("own", "materialgan"):  # names that load_maps knows
         files.write_json(folder / "material.json", {
             "bsdf": "roughconductor" if naming == "materialgan" else svbrdf.bsdf, "size": svbrdf.resolution,

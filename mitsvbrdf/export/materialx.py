@@ -4,17 +4,18 @@ Source: MaterialX specification 1.38 and 1.39; Autodesk Standard Surface (Georgi
 Surface 1.1, whose roughness is the square root of the GGX alpha, as ours.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import torch
 
-from ..io import files, images
+from ..io import files
 from ..material.conversion import as_shown, layered, relative_f0, usual_f0
 from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..material.naming import SURFACES
 from ..render.bsdf import index_from_f0
 from .residual import residual
-from .textures import DEFAULTS, NOTES, SRGB, Export, ExportSettings, Texture, rendered, stored, write_texture
+from .textures import DEFAULTS, NOTES, SRGB, Export, ExportSettings, Textures, rendered
 
 # Files, each with its version of MaterialX and its shader.
 DOCUMENTS = {"material.mtlx": ("1.38", "standard_surface"), "openpbr.mtlx": ("1.39", "open_pbr_surface")}
@@ -28,13 +29,14 @@ def write_materialx(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEF
         material, relative = layered(svbrdf, torch.tensor(level)), relative_f0(svbrdf, level)
         lost = {"materialx": residual(svbrdf, as_shown(material, relative * level, torch.tensor(level)))}
         largest = max(float(relative.max()), 1.0)  # a texture ends at 1, the factor beside it does not
-    written = {name: write_texture(folder, f"textures/{name}.png", name, value, settings.bits)
-               for name, value in material.maps.items()}
-    if svbrdf.bsdf == "roughconductor":
-        file = "textures/specular_color.png"
-        images.write_png(folder / file, stored("specular", relative / largest), settings.bits)
-        written["specular_color"] = Texture(file, f"F0 over {level:.6g}, divided by {largest:.6g}", SRGB,
-                                            settings.bits)
+    with Textures(folder) as textures:
+        written = {name: textures.add(f"textures/{name}.png", name, value, settings.bits)
+                   for name, value in material.maps.items()}
+        if svbrdf.bsdf == "roughconductor":
+            texture = textures.add("textures/specular_color.png", "specular", relative / largest,
+                                   settings.bits)
+            written["specular_color"] = replace(
+                texture, holds=f"F0 over {level:.6g}, divided by {largest:.6g}")
     kinds = {name: "vector3" if texture.normal else "color3" if texture.colour_space == SRGB else "float"
              for name, texture in written.items()}
     for file, (version, node) in DOCUMENTS.items():

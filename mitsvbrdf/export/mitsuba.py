@@ -2,6 +2,7 @@
 
 import math
 import xml.etree.ElementTree as ET
+from functools import partial
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -41,8 +42,8 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views, repeats: bool = F
     parameters = view_parameters(views, svbrdf.resolution)
     # to be lit and looked at from anywhere
     slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), Needs(), stock=True)
-    for slot, value in slots.items():
-        images.write_exr(out / "scene" / f"{slot}.exr", value)
+    images.write_all([partial(images.write_exr, out / "scene" / f"{slot}.exr", value)
+                      for slot, value in slots.items()])
 
     comments = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
     tree = ET.parse(SCENES / "patch.xml", comments)

@@ -1,6 +1,9 @@
 """Texture files, and what each holds: map, colour space, normal convention."""
 
+from __future__ import annotations
+
 import tomllib
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Literal
@@ -81,11 +84,24 @@ def described(file: str, name: str, bits: int, normal: NormalConvention = "gl") 
                    NORMALS[normal] if name == "normal" else None)
 
 
-def write_texture(folder: Path, file: str, name: str, value: Tensor, bits: Bits,
-                  normal: NormalConvention = "gl") -> Texture:
-    """Write ``folder/file``, a PNG of a linear map."""
-    images.write_png(folder / file, stored(name, value, normal), bits)
-    return described(file, name, bits, normal)
+class Textures:
+    """The textures of a folder, which are written side by side at the end of a ``with`` block."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.writes = folder, list[Callable[[], None]]()
+
+    def __enter__(self) -> Textures:
+        return self
+
+    def __exit__(self, kind: type | None, *_: object) -> None:
+        if kind is None:
+            images.write_all(self.writes)
+
+    def add(self, file: str, name: str, value: Tensor, bits: Bits, normal: NormalConvention = "gl"
+            ) -> Texture:
+        """A PNG of a linear map."""
+        self.writes.append(lambda: images.write_png(self.folder / file, stored(name, value, normal), bits))
+        return described(file, name, bits, normal)
 
 
 def rendered(template: str, **about: object) -> bytes:

@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -29,6 +29,7 @@ OUTSIDE = 1e-4  # of the brightest value, what a colour may lie outside of Rec. 
 # What a picture's channels are called; vectors, such as a renderer's normals, have X, Y, Z. Alpha and depth
 # are not read.
 SETS = ("RGB", "rgb", "XYZ", "RG", "XY", "Y", "V", "R")
+T = TypeVar("T")
 MAIN = "Combined"  # layer of Blender's that holds the picture itself
 
 
@@ -201,11 +202,10 @@ def unmasked(opaque: np.ndarray, side: int) -> np.ndarray:
     return cv2.resize(masked, (side, side), interpolation=cv2.INTER_AREA) == 0
 
 
-def write_all(writes: Sequence[Callable[[], None]]) -> None:
+def write_all(writes: Sequence[Callable[[], T]]) -> list[T]:
     """Write files side by side, on all cores: compressing them takes longest. The first error is raised."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        for done in [pool.submit(write) for write in writes]:
-            done.result()
+        return [done.result() for done in [pool.submit(write) for write in writes]]
 
 
 def write_exr(path: Path, image: Tensor) -> None:

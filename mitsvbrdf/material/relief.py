@@ -4,6 +4,7 @@ import math
 
 import torch
 import torch.nn.functional as F
+from scipy.fft import dctn, idctn
 from torch import Tensor
 
 from .resample import enlarged
@@ -29,25 +30,26 @@ def heights(normal: Tensor, periodic: bool = False) -> Tensor:
     right, down = -n[..., 0] / z / size, n[..., 1] / z / size
     if periodic:
         between_right, between_down = (right + right.roll(-1, 1)) / 2, (down + down.roll(-1, 0)) / 2
-        return _solved(between_right - between_right.roll(1, 1) + between_down - between_down.roll(1, 0))
+        source = between_right - between_right.roll(1, 1) + between_down - between_down.roll(1, 0)
+        waves = torch.fft.rfft2(source) / _laplacian(size, 2 * math.pi / size, size // 2 + 1)
+        return torch.fft.irfft2(waves, (size, size))
     between_right, between_down = (right[:, 1:] + right[:, :-1]) / 2, (down[1:] + down[:-1]) / 2
     source = torch.zeros(size, size, dtype=torch.float64)
     source[:, :-1] += between_right
     source[:, 1:] -= between_right
     source[:-1] += between_down
     source[1:] -= between_down
-    mirrored = torch.cat((source, source.flip(0)))
-    return _solved(torch.cat((mirrored, mirrored.flip(1)), dim=1))[:size, :size]
+    spectrum = torch.from_numpy(dctn(source.numpy(), overwrite_x=True))
+    return torch.from_numpy(idctn((spectrum / _laplacian(size, math.pi / size)).numpy(), overwrite_x=True))
 
 
-def _solved(source: Tensor) -> Tensor:
-    """What has this discrete Laplacian, where both go on periodically; mean 0."""
-    wave = 2 * torch.cos(torch.arange(len(source), dtype=torch.float64) * (2 * math.pi / len(source))) - 2
-    laplacian = wave[:, None] + wave
-    laplacian[0, 0] = 1
-    spectrum = torch.fft.fft2(source) / laplacian
-    spectrum[0, 0] = 0
-    return torch.fft.ifft2(spectrum).real
+def _laplacian(rows: int, step: float, columns: int = 0) -> Tensor:
+    """What the discrete Laplacian makes of waves of rising frequency; of the constant one, infinity."""
+    down, right = (2 * torch.cos(torch.arange(count, dtype=torch.float64) * step) - 2
+                   for count in (rows, columns or rows))
+    laplacian = down[:, None] + right
+    laplacian[0, 0] = torch.inf
+    return laplacian
 
 
 def occlusion(height: Tensor, periodic: bool = False) -> Tensor:
