@@ -57,6 +57,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     if resume:
         loop.resume(resume)
     stopped = loop.run()
+    method.end()
     return diagnosed(task, loop, stopped, stated)
 
 

@@ -59,6 +59,9 @@ class Method(ABC, Generic[Config]):
     def cut_step(self) -> None:  # noqa: B027
         """Halve the step size, after a step was undone; nothing where there is none."""
 
+    def end(self) -> None:  # noqa: B027
+        """Free what only further steps would need."""
+
     @property
     def done(self) -> bool:
         """Whether going on would change nothing."""

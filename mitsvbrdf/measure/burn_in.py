@@ -21,7 +21,7 @@ from torch import Tensor
 
 from .. import color
 from ..material.maps import SVBRDF
-from ..views import STRIP, Views, coverage_angle, half_angles
+from ..views import STRIP, Views, coverage_angle, half_angles, strips
 
 # a map whose deviation is below this share of its size is constant: float32 and the encoding leave 1e-7
 CONSTANT_BELOW = 1e-6
@@ -86,8 +86,10 @@ def oval_shares(maps: Tensor, patterns: Tensor) -> tuple[Tensor, Tensor]:
 
 def _looks(svbrdf: SVBRDF) -> dict[str, Tensor]:
     """Specular, as linear^(1/2.2) and the mean of its channels, and roughness: R x R, float64."""
-    maps = svbrdf.detach().to(torch.float64).as_roughconductor()
-    return {"specular": color.encode(maps["specular"]).mean(dim=-1), "roughness": maps["roughness"][..., 0]}
+    maps = svbrdf.detach().as_roughconductor()
+    return {"specular": torch.cat([color.encode(maps["specular"][rows].double()).mean(dim=-1)
+                                   for rows in strips(svbrdf.resolution)]),
+            "roughness": maps["roughness"][..., 0].double()}
 
 
 def explained_share(values: Tensor, angle: Tensor) -> float:

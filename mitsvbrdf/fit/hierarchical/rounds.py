@@ -139,6 +139,11 @@ class Hierarchical(Method[HierarchicalConfig]):
             self.scale, self.answer = self.photos.at_full_size(self.answer, self.scale)
         self.stages.enter(stage, hurried)
 
+    def end(self) -> None:
+        """Free the planes of the answer."""
+        del self.answer
+        self.real.closed = None
+
     @property
     def done(self) -> bool:
         """Whether another round would change little."""
