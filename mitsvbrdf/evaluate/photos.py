@@ -15,7 +15,7 @@ from ..capture import Capture
 from ..errors import ConfigError
 from ..fit.result import Fit
 from ..material.maps import SVBRDF
-from ..measure.rerender import rerender
+from ..measure.rerender import rerender, rerendered
 from ..render import Renderer
 from ..views import Views, shift_lights
 from . import evaluate_capture
@@ -23,7 +23,7 @@ from .placement import placed
 
 
 def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Renderer,
-                    priors: Priors | None = None) -> tuple[dict, Tensor]:
+                    priors: Priors | None = None) -> tuple[dict, Tensor | None]:
     """Errors of the re-rendered photos in display values.
 
     A photo that the fit saw is rendered with the view that the fit ended with, so its error is the one that
@@ -42,13 +42,13 @@ def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Render
         ``rerender_rmse``, ``per_photo``, ``rmse_seen`` and ``rmse_held_out`` (None without such photos);
         ``calibrated`` (``views`` in words) and, without priors None, ``refined`` (``views`` as
         :func:`~mitsvbrdf.evaluate.evaluate_capture` has them) have these four too. And the images, linear N x
-        R x R x 3.
+        R x R x 3; None where they are too large to be rendered together.
     """
     views, fitted = fitted_views(fit, capture)
     here = fit.of(capture)
     seen = [name for name, number in zip(capture.names, capture.index) if here and number in fit.seen]
     held_out = [name for name in capture.names if here and name not in seen]
-    images, total, each = rerender(renderer, svbrdf.resized(capture.resolution), views, capture)
+    total, each, _, images = rerendered(renderer, svbrdf.resized(capture.resolution), views, capture)
 
     def apart(found: dict) -> dict:
         errors = found["per_photo"]
@@ -150,6 +150,8 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
         shots = placed(shots, fit).pick(capture.index)
         svbrdf = entry.svbrdf.resized(capture.resolution)
         found, images = evaluate_photos(svbrdf, fit, shots, renderer, priors)
+        if images is None:
+            images = rerender(renderer, svbrdf, fitted_views(fit, shots)[0], shots)[0]
         pictures.append(color.to_display(images, shots.transfer))
         methods.append({"name": entry.name, "folder": entry.folder, "resolution": entry.svbrdf.resolution,
             "bsdf": entry.svbrdf.bsdf,
