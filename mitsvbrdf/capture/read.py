@@ -22,7 +22,7 @@ from ..views import FIELD_OF_VIEW, Falloff, default_views
 from .calibrated import from_json, from_text, stated_in
 from .capture import LEAST_SIDE, Capture, converted, notes_of, used_transfer
 from .lens import field_of_view
-from .photo import Photo, Unreadable, differences, photos_in, with_one_balance
+from .photo import SUFFIXES, Photo, Unreadable, differences, photos_in, with_one_balance
 from .rectify import filled
 from .sharpness import CLEARLY, MOST_PHOTOS, carried, middle
 from .turned import laid_alike
@@ -52,7 +52,7 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
       by name alone, with the stated default geometry.
 
     Args:
-        folder: the folder, or the JSON file itself.
+        folder: the folder, the JSON file itself, or a lone photo.
         resolution: pixels a side to shrink to, by area averages of display values; never enlarged. None: as
             they are.
         index: numbers of the photos to use; None: all.
@@ -86,8 +86,10 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
                           "choose one of these")
     if path.is_file() and path.suffix.lower() == ".json":
         capture = from_json(path, falloff, resolution)
+    elif path.is_file() and path.suffix.lower() in SUFFIXES:
+        capture = _from_plain(path, falloff, resolution, transfer, report)
     elif not path.is_dir():
-        raise CaptureError("a folder of photos", f"no folder at {path}", "check the name")
+        raise CaptureError("a photo or a folder of photos", f"no folder at {path}", "check the name")
     elif (path / "capture.json").is_file():
         capture = from_json(path / "capture.json", falloff, resolution)
     elif (path / "camera_pos.txt").is_file():
@@ -165,7 +167,7 @@ def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer
     from .rig import LEAST_PHOTOS, OnePlace
     from .stages import make_capture
 
-    photos = [Photo.open(path) for path in photos_in(folder)]
+    photos = [Photo.open(path) for path in ([folder] if folder.is_file() else photos_in(folder))]
     reason = f"{LEAST_PHOTOS} or more are needed to find out where they were taken from"
     refuse_tags(photos)
     if len(photos) >= LEAST_PHOTOS:

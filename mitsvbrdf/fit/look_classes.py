@@ -11,8 +11,10 @@ mean over classes, normals, roughnesses and colours, given its pixel (empirical 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
+import numpy as np
 import torch
 import torch.nn.functional as F
 from torch import Tensor
@@ -30,13 +32,14 @@ NOISE = 0.01  # of display values: 8 bits, and what so few classes lack
 TAIL = 0.15  # by what slopes of normals have longer tails than normal numbers, a squared deviation
 MODEL = 0.03  # share of a lobe that its model lacks
 PARTS = Layout(diffuse=(CLASSES, 3), lightness=(CLASSES,), tint=(CLASSES,), specular=(CLASSES, 3),
-               roughness=(CLASSES,), worn=(CLASSES,), relief=(CLASSES,), share=(CLASSES,), place=(2,),
+               roughness=(CLASSES,), worn=(CLASSES,), relief=(CLASSES,), share=(CLASSES,), place=(3,),
                power=())
 RANGES = {"lightness": (0.02, 1.0), "tint": (0.004, 0.2), "worn": (0.02, 0.6), "relief": (0.005, 1.0)}
-BEGUN = {"lightness": 0.15, "tint": 0.02, "worn": 0.1, "relief": 0.1}
+BEGUN = {"lightness": 0.15, "tint": 0.02, "worn": 0.1}
 # Beforehand: deviations of roughness from the mean of all classes and of channels of specular from their
-# mean; logs of a relief, and its deviation; diffuse of metals; place of the camera in sides and log of power.
-ROUGHNESS, TINT, RELIEF, METAL, PLACE, POWER = 0.15, 0.05, (-2.0, 1.0), 0.1, 0.15, 0.7
+# mean; logs of a relief, and its deviation; place of the camera in sides, log of its height; of power.
+ROUGHNESS, TINT, RELIEF, PLACE, POWER = 0.15, 0.05, (-2.0, 1.0), 0.15, 0.7
+SURE = 16.0  # times as sure is where and how strong the flash is, and that F0 is a dielectric's or any other
 BRIGHT, DARK = 1e-4, 1e-5  # least of linear colours, of classes and of texels
 RINGS, EVEN = 8, 0.02  # of equal half angle whose texels are alike; deviation of texels that nothing shows
 
@@ -47,7 +50,7 @@ class Pixels(NamedTuple):
     Args:
         at: their texels' places on the patch, M x 2.
         shown: linear radiance, M x 3.
-        noise: its standard deviation, M x 1.
+        noise: its standard deviation, M x 3.
         clipped: channels that only bound the radiance from below, M x 3.
     """
 
@@ -60,8 +63,8 @@ class Pixels(NamedTuple):
     def of(capture: Capture) -> Pixels:
         """All pixels of the first photo."""
         photo = capture.photos[0].flatten(0, 1)
-        grey = photo.mean(dim=1, keepdim=True).clamp(0.02, 1 - NOISE)
-        above, below = (color.decode(grey + by, capture.transfer) for by in (NOISE, -NOISE))
+        level = photo.clamp(0.02, 1 - NOISE)
+        above, below = (color.decode(level + by, capture.transfer) for by in (NOISE, -NOISE))
         return Pixels(texel_positions(capture.resolution)[..., :2].flatten(0, 1).float(),
                       capture.linear[0].flatten(0, 1), (above - below) / 2, photo >= CLIPPED)
 
@@ -106,24 +109,24 @@ class LookClasses:
         self.lightness, self.tint, self.worn, self.relief = (
             getattr(part, name).exp().clamp(low, high) for name, (low, high) in RANGES.items())
         self.share = torch.log_softmax(part.share, dim=-1)
-        self.place: Tensor = torch.zeros(2) if held else part.place
-        self.power: Tensor = torch.zeros(()) if held else part.power
         self.views = views.in_patch_sides().to(torch.float32)
+        self.place: Tensor = torch.zeros(3) if held else part.place
+        self.power: Tensor = torch.zeros(()) if held else part.power
+        self.moved = torch.cat((self.place[:2], self.views.camera[0, 2:] * self.place[2:].expm1()))
 
     @staticmethod
-    def start(looks: Tensor, roughness: float, f0: float) -> Tensor:
+    def start(looks: Tensor, roughness: float, f0: float, relief: Sequence[float]) -> Tensor:
         """Numbers of classes of these diffuse colours (linear^(1/2.2), K x 3), all with one lobe."""
         level, width = f0 ** (1 / 2.2), (roughness - 0.05) / 0.95
         return torch.from_numpy(PARTS.pack(
             diffuse=torch.logit(looks.clamp(0.02, 0.97)).numpy(), specular=math.log(level / (1 - level)),
             roughness=math.log(width / (1 - width)),
-            **{name: math.log(value) for name, value in BEGUN.items()})).float()
+            relief=np.log(relief), **{name: math.log(value) for name, value in BEGUN.items()})).float()
 
     def lit(self, at: Tensor) -> tuple[Tensor, Tensor]:
         """Slopes of half vectors, M x 2, and radiance of a white texel that faces these, M x 3."""
-        moved = torch.cat((self.place, torch.zeros(1)))
         texel = torch.cat((at, torch.zeros_like(at[:, :1])), dim=1)
-        light, camera = (place[0] + moved - texel for place in (self.views.light, self.views.camera))
+        light, camera = (place[0] + self.moved - texel for place in (self.views.light, self.views.camera))
         reach = light.square().sum(dim=1, keepdim=True) if self.views.falloff == "inverse-square" else (
             self.views.light.square().sum())
         half = F.normalize(F.normalize(light, dim=1) + F.normalize(camera, dim=1), dim=1)
@@ -155,26 +158,29 @@ class LookClasses:
         off = (pixels.shown / white)[:, None, None] - cosine * mean - glossy
         off = torch.where(pixels.clipped[:, None, None] & (off < 0), 0.0, off)
         tint = (2.2 * self.tint[:, None, None] * mean.clamp_min(BRIGHT) ** (1.2 / 2.2)) ** 2
-        own = cosine**2 * tint + noise**2 + (MODEL * glossy) ** 2
+        # given, not sought: else a model of exact photos shrinks its lobe to shrink this noise
+        own = cosine**2 * tint + noise**2 + (MODEL * glossy.detach()) ** 2
         along = cosine * self.lightness[:, None, None] * mean
         pull, worth = (along * off / own).sum(-1), 1 + (along**2 / own).sum(-1)
         chi2 = (off**2 / own).sum(-1) - pull**2 / worth
-        likely = -(chi2 + own.log().sum(-1) + worth.log()) / 2 + self.share[:, None]
+        likely = (-(chi2 + own.log().sum(-1) + worth.log()) / 2 + self.share[:, None]
+                  - white.log().sum(-1)[:, None, None])  # of the radiance shown, not of its share of white
         left = off - along * (pull / worth)[..., None]
         gain = self.lightness[:, None, None] * mean * (pull / worth)[..., None] + cosine * tint * left / own
         return Posterior(likely - math.log(nodes.shape[1]), slopes, roughness, (mean + gain).clamp(0, 1))
 
     def prior(self) -> Tensor:
         """Log of how likely the numbers are beforehand."""
-        encoded, dark = (color.encode(value.clamp_min(BRIGHT)) for value in (self.specular, self.diffuse))
-        level, black = encoded.mean(dim=1), -(dark.mean(dim=1) / METAL) ** 2 / 2 - math.log(METAL)
-        kinds = [math.log(share / spread) - ((level - mean) / spread) ** 2 / 2 + black * (mean > 0.7)
-                 for mean, spread, _, share in KINDS]
+        encoded = color.encode(self.specular.clamp_min(BRIGHT))
+        level, (mean, spread, tint, share) = encoded.mean(dim=1), KINDS[0]
+        colour = (encoded - level[:, None]).square().sum(dim=1) / 2
+        usual = (math.log(share / spread / math.sqrt(2 * math.pi) * (TINT / tint) ** 2)
+                 - ((level - mean) / spread) ** 2 / 2 - colour / tint**2)
+        specular = SURE * torch.logaddexp(usual, math.log(1 - share) - colour / TINT**2)
         apart = (self.roughness - (self.share.exp() * self.roughness).sum()) / ROUGHNESS
         rough = (self.relief.log() - RELIEF[0]) / RELIEF[1]
-        each = (torch.stack(kinds).logsumexp(0) - ((encoded - level[:, None]) / TINT).square().sum(dim=1) / 2
-                - apart**2 / 2 - rough**2 / 2)
-        return each.sum() - (self.place / PLACE).square().sum() / 2 - (self.power / POWER) ** 2 / 2
+        each = specular - apart**2 / 2 - rough**2 / 2
+        return each.sum() - SURE * ((self.place / PLACE).square().sum() + (self.power / POWER) ** 2) / 2
 
     @staticmethod
     def texels(found: Posterior, specular: Tensor) -> Tensor:

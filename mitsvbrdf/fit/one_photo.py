@@ -21,12 +21,16 @@ from .method import Method, cosine
 from .start import robust_start
 from .task import FitTask
 
-STARTS = ((0.2, 0.04), (0.4, 0.04), (0.7, 0.04), (0.25, 0.3), (0.25, 0.7), (0.45, 0.5))  # roughness, F0
+# Roughness and F0 of classes that begin with the looks of pixels, and of metals, without diffuse colours.
+LOOKS = (0.2, 0.04), (0.4, 0.04), (0.7, 0.04)
+METALS, BLACK = ((0.3, 0.1), (0.25, 0.3), (0.25, 0.7), (0.45, 0.5)), 0.02
+# Reliefs of their classes: equal classes would have equal gradients and stay equal.
+ALIKE, APART = (0.1,) * CLASSES, tuple(0.1 * 2.0 ** (k - CLASSES // 2) for k in range(CLASSES))
 TRIED, STEPS, ITERATIONS = 50, 120, 10  # descents of a start and of the best one, and those of a step
 FEW, MANY = 512, 1536  # pixels of a descent
 NODES, MORE, MOST = 16, 24, 64  # what a pixel is averaged over: in descents of all, of the best, in the end
 RATES = 0.06, 0.03  # of Adam for all starts and for the best one
-PIXELS = 64.0  # what is known beforehand of a class counts as so many of the photo's pixels
+BEFOREHAND = 1e-3  # weight of what is known beforehand, beside the log likelihood of a pixel
 STATIONARY = 1.0  # weight of how uneven texels are, beside the log likelihood of a pixel
 UNLIKELIEST = -60.0  # log likelihood of a pixel that no class explains, at least
 CHUNK = 2048  # pixels at once
@@ -64,13 +68,14 @@ class OnePhoto(Method[HierarchicalConfig]):
 
     def _starts(self) -> list[Tensor]:
         """Numbers of classes that look as pixels do away from the highlight, with each lobe."""
-        flat = LookClasses.start(torch.full((CLASSES, 3), 0.5), *STARTS[0])
+        flat = LookClasses.start(torch.full((CLASSES, 3), 0.5), *LOOKS[0], ALIKE)
         half, white = LookClasses(flat, self.views, True).lit(self.pixels.at)
         aside = half.norm(dim=1) > half.norm(dim=1).median()
         looks = color.encode((self.pixels.shown / white).clamp(0, 1))[aside]
         found = basis_materials(F.pad(looks, (0, 2)).contiguous(), CLASSES, self.config.seed)[:, :3]
         found = torch.cat((found, found[-1:].expand(CLASSES - len(found), -1)))
-        return [LookClasses.start(found, *lobe) for lobe in STARTS]
+        return [LookClasses.start(colours, *lobe, relief) for colours, lobes, relief in (
+            (found, LOOKS, ALIKE), (torch.full_like(found, BLACK), METALS, APART)) for lobe in lobes]
 
     def _descend_from(self, numbers: Tensor) -> None:
         self.numbers = numbers.clone().requires_grad_()
@@ -84,11 +89,11 @@ class OnePhoto(Method[HierarchicalConfig]):
     @property
     def done(self) -> bool:
         """Whether the last descent has ended."""
-        return self.done_steps >= len(STARTS) + STEPS // ITERATIONS
+        return self.done_steps >= len(self.starts) + STEPS // ITERATIONS
 
     def step(self, progress: float) -> dict[str, float]:
         """All descents from a start, or the next ones from the best."""
-        last = self.done_steps - len(STARTS)
+        last = self.done_steps - len(self.starts)
         with profiled("solver"):
             if last < 0:
                 self._descend_from(self.starts[self.done_steps])
@@ -111,7 +116,7 @@ class OnePhoto(Method[HierarchicalConfig]):
             classes = LookClasses(self.numbers, self.views, self.held)
             found = classes.posterior(some, nodes(pixels, many, k))
             likely = found.likely.flatten(1).logsumexp(dim=1).clamp_min(UNLIKELIEST).mean()
-            cost = STATIONARY * classes.uneven(found, some.at) - likely - classes.prior() * PIXELS / total
+            cost = STATIONARY * classes.uneven(found, some.at) - likely - BEFOREHAND * classes.prior()
             self.optimizer.param_groups[0]["lr"] = rate * cosine(k / of, 0.05)
             self.optimizer.zero_grad()
             cost.backward()
@@ -127,14 +132,14 @@ class OnePhoto(Method[HierarchicalConfig]):
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The texels by the present classes; before all starts were tried, the robust start."""
-        if self.done_steps < len(STARTS):
+        if self.done_steps < len(self.starts):
             return self.begun, self.views
         classes, parts = self.classes, []
         with torch.no_grad():
             for some in torch.arange(len(self.pixels.at)).split(CHUNK):
                 found = classes.posterior(self.pixels.pick(some), nodes(len(some), MOST, self.config.seed))
                 parts.append(classes.texels(found, classes.specular))
-        views, moved = self.views, F.pad(classes.place, (0, 1)).double() * self.views.size
+        views, moved = self.views, classes.moved.double() * self.views.size
         return material(torch.cat(parts), self.capture.resolution), replace(
             views.carried(moved), intensity=views.intensity * float(classes.power.exp()))
 

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import NamedTuple
 
 import torch
 import torch.nn.functional as F
+from torch import Tensor
 
 from ..capture import Capture
 from ..views import half_angles
@@ -13,6 +15,8 @@ from ..views import half_angles
 # The test: rings of equal half angle, and blocks of the photo a side; how much of the variance of ranks lies
 # between blocks, and by how much of their lightness blocks differ, where the pattern is as large as they are.
 RINGS, BLOCKS, BETWEEN, CONTRAST = 32, 4, 0.25, 0.05
+PLACES = (-0.2, -0.1, 0.0, 0.1, 0.2)  # sides from the middle, of a flash of which nothing is known
+HARDLY_TOLD = "specular, roughness and normals are hardly determined; take more from other places"
 
 
 class Repeats(NamedTuple):
@@ -39,7 +43,7 @@ class Repeats(NamedTuple):
         if self.stationary:
             return (f"one photo, taken for that of a material that repeats itself: {found}; specular, "
                     "roughness and normals are those of its looks, hardly any texel's own")
-        return f"one photo, not taken for that of a material that repeats itself: {found}"
+        return f"one photo, not taken for that of a material that repeats itself: {found}; {HARDLY_TOLD}"
 
 
 def repeats(capture: Capture, asked: bool | None = None) -> Repeats:
@@ -47,17 +51,25 @@ def repeats(capture: Capture, asked: bool | None = None) -> Repeats:
 
     Of a flat patch, all pixels of a ring of equal half angle have the same light and the same lobe, so their
     ranks by lightness are the material's. Of a stationary material they are alike in all blocks of the photo.
+    A flash of which nothing is known stands where they are most alike.
 
     Args:
         capture: one photo with its view.
         asked: what the user says; None leaves it to the photo.
     """
+    shifts = [(0.0, 0.0)] if capture.calibrated else list(itertools.product(PLACES, PLACES))
+    between, contrast = min(_uneven(capture, torch.tensor([*shift, 0.0]).double()) for shift in shifts)
+    found = between <= BETWEEN or contrast <= CONTRAST
+    return Repeats(found if asked is None else asked, between, contrast, asked is not None)
+
+
+def _uneven(capture: Capture, shift: Tensor) -> tuple[float, float]:
+    """Share of the variance of ranks between blocks, and how they differ, with the flash moved (sides)."""
     light, side = capture.linear[0].mean(dim=-1).flatten(), capture.resolution
     rank, beside = torch.empty_like(light), torch.empty_like(light)
-    for ring in half_angles(capture.views, side)[0].flatten().argsort().tensor_split(RINGS):
+    half = half_angles(capture.views.carried(shift * capture.views.size), side)[0].flatten()
+    for ring in half.argsort().tensor_split(RINGS):
         rank[ring[light[ring].argsort()]] = (torch.arange(len(ring)) + 0.5) / len(ring)
         beside[ring] = light[ring] / light[ring].median().clamp_min(1e-6) - 1
     share, differ = (F.adaptive_avg_pool2d(plane.reshape(1, side, side), BLOCKS) for plane in (rank, beside))
-    between, contrast = 12 * float((share - 0.5).square().mean()), float(differ.std())
-    found = between <= BETWEEN or contrast <= CONTRAST
-    return Repeats(found if asked is None else asked, between, contrast, asked is not None)
+    return 12 * float((share - 0.5).square().mean()), float(differ.std())

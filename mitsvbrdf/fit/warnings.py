@@ -12,6 +12,7 @@ from ..measure.burn_in import LOCAL_SIDE, burn_in, local_burn_in
 from .confidence import DETERMINED, of_texels
 from .config import HierarchicalConfig
 from .fixed_maps import described
+from .repeats import HARDLY_TOLD
 from .result import Fit
 
 # Behind each number, what twelve real captures of nine photos had (`hybrid` and `direct`, 64 px).
@@ -40,6 +41,8 @@ OVALS = 0.2  # the same of single highlights; known materials under the views of
 def fit_warnings(result: Fit, capture: Capture) -> Iterator[str]:
     """Warnings about the photos, the calibration and the fit, one sentence each."""
     yield from about_photos(capture)
+    if len(capture) == 1 and "repeats" not in result.record:  # which says more of it
+        yield f"one photo: {HARDLY_TOLD}"
     yield from _light(result, capture)
     yield from _implausible(result)
     yield from _errors(result, capture)
@@ -69,9 +72,7 @@ def about_photos(capture: Capture) -> Iterator[str]:
         yield "the photos are nearly black: 8 bits leave few steps there; expose more"
     if float((photos - photos.mean(dim=(1, 2), keepdim=True)).square().mean().sqrt()) < ALIKE:
         yield "every photo is of one colour: it shows no texture, relief or highlight"
-    if len(capture) == 1:
-        yield "one photo: specular, roughness and normals are hardly determined; take more from other places"
-    elif float((photos - photos.mean(dim=0)).square().mean().sqrt()) < ALIKE:
+    if len(capture) > 1 and float((photos - photos.mean(dim=0)).square().mean().sqrt()) < ALIKE:
         yield ("the photos are all alike: no highlight moves, so specular, roughness and normals are "
                "hardly determined")
     else:

@@ -246,3 +246,13 @@ def test_options_out_of_range(tmp_path):
     for wrong in ({"resolution": 4}, {"transfer": "log"}, {"falloff": "linear"}):
         with pytest.raises(ConfigError, match=str(next(iter(wrong.values())))):
             read_capture(tmp_path, **wrong)
+
+
+def test_a_lone_photo_is_read_as_the_only_one_of_its_folder(tmp_path):
+    picture = np.random.default_rng(0).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    cv2.imwrite(str(tmp_path / "one.png"), picture)
+    alone, within = read_capture(tmp_path / "one.png"), read_capture(tmp_path)
+    assert torch.equal(alone.photos, within.photos) and same_views(alone.views, within.views)
+    assert alone.notes == within.notes and not alone.calibrated
+    (tmp_path / "words.txt").write_text("none")
+    fails(tmp_path / "words.txt", "a photo or a folder")
