@@ -88,7 +88,7 @@ class _Photos:
         return color.shown(capture.stored)
 
     def __set__(self, capture: Capture, photos: Tensor) -> None:
-        vars(capture)["stored"] = _checked(photos)
+        vars(capture)["photos"] = _checked(photos)
 
 
 @dataclass(frozen=True)
@@ -170,7 +170,7 @@ class Capture:
     @property
     def stored(self) -> Tensor:
         """The photos as they are kept, N x R x R x 3: float32, or 8 or 16 bits (:func:`color.shown`)."""
-        return cast(Tensor, vars(self)["stored"])
+        return cast(Tensor, vars(self)["photos"])
 
     def photo(self, row: int) -> Tensor:
         """One photo, R x R x 3 display values."""

@@ -91,10 +91,11 @@ def _ordinary(value: Any) -> Any:
     if isinstance(value, Tensor):
         return value.clone() if value.is_inference() else value
     if is_dataclass(value) and not isinstance(value, type):
-        old = {field.name: getattr(value, field.name) for field in fields(value) if field.init}
+        kept = getattr(value, "__dict__", {})  # a descriptor may make something else of it, at a cost
+        old = {field.name: kept[field.name] if field.name in kept else getattr(value, field.name)
+               for field in fields(value) if field.init}
         new = {name: _ordinary(each) for name, each in old.items()}
-        changed = {name: new[name] for name in old if new[name] is not old[name]}
-        return replace(value, **changed) if changed else value
+        return replace(value, **new) if any(new[name] is not old[name] for name in old) else value
     if type(value) in (list, tuple):
         items = type(value)(map(_ordinary, value))
         return value if all(map(lambda a, b: a is b, items, value)) else items

@@ -8,8 +8,11 @@ from dataclasses import dataclass
 
 import pytest
 import torch
+from helpers import GRID
 from torch import Tensor
 
+from mitsvbrdf import color
+from mitsvbrdf.capture import Capture
 from mitsvbrdf.io.entry import entry
 
 
@@ -95,3 +98,14 @@ def test_tensors_of_inference_mode_stay_outside():
     assert torch.equal(held.maps["a"], made) and held.name == "x"
     untouched = Held({"b": ordinary}, (ordinary, 1))
     assert given(untouched, [])[0] is untouched
+
+
+def test_photos_kept_in_8_bits_pass_as_they_are(monkeypatch):
+    capture = Capture(torch.full((9, 4, 4, 3), 51, dtype=torch.uint8), GRID)
+    kept, told = entry()(lambda capture: (capture.stored, capture.photos))(capture)
+    assert kept is capture.stored and torch.equal(told, torch.full((9, 4, 4, 3), 0.2))
+    monkeypatch.setattr(color, "shown", lambda stored: pytest.fail("the photos were decoded"))
+    assert entry()(lambda capture: capture)(capture) is capture
+    with torch.inference_mode():
+        capture = capture.but(photos=torch.full((9, 4, 4, 3), 51, dtype=torch.uint8))
+    assert not entry()(lambda capture: capture)(capture).stored.is_inference()
