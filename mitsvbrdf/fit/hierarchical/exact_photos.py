@@ -13,6 +13,7 @@ from ..config import HierarchicalConfig
 from ..task import FitTask
 from .lobes import Lobes
 from .observations import ObservationModel
+from .relief import Relief
 from .scales import Scale
 from .shared_lobes import SharedLobes
 from .solver import Observations
@@ -72,7 +73,7 @@ class ExactPhotos:
         fine = self.present.scales.of(Stage.FINE)
         if not self.lobes:
             return fine, self.prior.enlarge(answer, scale, fine, tied=False)
-        self.lobes = SharedLobes.at(self.lobes.lobes, self.prior, fine)
+        self.lobes = SharedLobes.at(self.lobes.lobes, self.prior, self.lobes.relief, fine)
         return fine, self.lobes.enlarged(answer, fine)
 
     def next_prior(self, scale: Scale, photos: Observations, answer: TexelEstimate) -> TexelEstimate:
@@ -80,16 +81,30 @@ class ExactPhotos:
         variance = variances(scale.solver, photos, answer)
         if not self.lobes:
             return self.prior.share(answer, variance, scale.member, len(photos.views), tied=False)
+        self._measure_noise(answer.x)
         if self.seen.stages.stage != Stage.FINE:
             self.lobes, answer = self.lobes.moved(scale, photos, answer)
-        return self.prior.with_relief(answer, variance, tied=False)
+        self.lobes, answer = self.lobes.with_relief(answer, variance)
+        return answer
+
+    def _measure_noise(self, x: Tensor) -> None:
+        """Learn the noise anew: photos that an early answer explains half seem noisier than they are.
+
+        With that noise a likelier lobe would be worth more than a highlight that is met.
+        """
+        some = self.search.scales.of(Stage.MULTI_START)
+        svbrdf = some.solver.svbrdf(self.search.scales.sampled(x)).map(Tensor.contiguous)
+        self.seen.measure_noise(svbrdf, some.capture, len(x), make_renderer("mitsuba", some.solver.variant))
 
     def state(self) -> dict[str, Tensor]:
         """Everything :meth:`load_state` needs, beside the stages."""
-        return {f"lobes.{name}": value
-                for name, value in (self.lobes.lobes._asdict() if self.lobes else {}).items()}
+        if not (lobes := self.lobes):
+            return {}
+        return {f"lobes.{name}": value for name, value in lobes.lobes._asdict().items()} | {
+            "relief": lobes.relief.share}
 
     def load_state(self, state: dict[str, Tensor], scale: Scale) -> None:
         """Go on from a saved state at a scale."""
         saved = part(state, "lobes.")
-        self.lobes = SharedLobes.at(Lobes(**saved), self.search.prior, scale) if saved else None
+        self.lobes = SharedLobes.at(Lobes(**saved), self.search.prior, Relief(state["relief"]),
+                                    scale) if saved else None

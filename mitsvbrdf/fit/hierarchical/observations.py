@@ -7,10 +7,14 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from ...capture import Capture
+from ...material.maps import SVBRDF
 from ...measure.burn_in import cubic
+from ...render import Renderer
 from ...views import Views, coverage_angle, geometry, strips
 from ..config import HierarchicalConfig
 from .scales import Scale
+from .sensor_noise import sensor_noise
 from .solver import Observations, Solved
 from .stages import Stages
 from .starts import stepped
@@ -49,12 +53,17 @@ class ObservationModel:
             weights = capture.measured * (1 if weights is None else weights)
         return Observations(capture.stored, self.corrections.applied(capture.views), capture.transfer, noise,
                             (ROBUST_END if scale.free else ROBUST) * noise, weights,
-                            self.stages.sensor if self.stages.told_by_brightness else None)
+                            self.stages.by_brightness if self.stages.told_by_brightness else None)
 
     def stepped(self, scale: Scale, answer: TexelEstimate, prior: TexelPrior, steps: int) -> Solved:
         """The texels after some steps."""
         with self.budget.timed("solver", steps * answer.x[0].numel()):
             return stepped(scale.solver, self.observations(scale, answer), answer, prior, steps)
+
+    def measure_noise(self, svbrdf: SVBRDF, capture: Capture, unknowns: int, renderer: Renderer) -> None:
+        """Learn the noise of exact photos from a material of their size, of so many unknowns a texel."""
+        views = self.corrections.applied(capture.views)
+        self.stages.measure(sensor_noise(svbrdf, views, capture, renderer, unknowns))
 
     def without_burn_in(self, planes: Tensor, scale: Scale, estimate: TexelEstimate) -> Tensor:
         """Shared unknowns that do not follow the highlights of real photos."""

@@ -169,6 +169,8 @@ class Hierarchical(Method[HierarchicalConfig]):
             self.stages.saved(float((first - cost.mean()) / first))
         last = (TRIED * others + LAST_STEPS) * self.scale.texels
         if lobes and self.stages.settled and not self.cut and self.budget.in_time(last):
+            self.stages.closing = True
+            answer, cost = self._scored(answer, others)
             answer = lobes.averaged(answer, cost, partial(self._scored, steps=others))
             answer, _ = self._scored(answer, LAST_STEPS)
         self.answer = answer

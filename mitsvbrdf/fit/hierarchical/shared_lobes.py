@@ -15,14 +15,14 @@ from .evidence import evidence, searched
 from .kernel import tile_rows
 from .lobes import Learner, Lobes
 from .observations import ObservationModel
+from .relief import Relief
 from .scales import COARSE, Scale
-from .sensor_noise import sensor_noise
 from .solver import Observations
-from .starts import Start, other_starts
+from .starts import Start, other_starts, variances
 from .texel_prior import FIXED, TexelEstimate, TexelPrior
 
 LIKELY = 8  # lobes that are tried in a texel: those most common among its look-alikes
-TRIED = LIKELY + 1  # by :meth:`SharedLobes.averaged`
+TRIED = LIKELY + 2  # by :meth:`SharedLobes.averaged`
 STEEPEST = 10.0  # slope of a normal: 84 degrees
 FAR_MORE = 30.0  # log of how much likelier than the present one a lobe may count
 
@@ -34,19 +34,21 @@ class SharedLobes:
     Args:
         lobes: that they share.
         prior: of them, whose normals may be steep.
+        relief: how steep they are.
         rare: -2 log of the shares of the lobes in each, Q x R x R.
     """
 
     lobes: Lobes
     prior: TexelPrior
+    relief: Relief
     rare: Tensor
 
     @classmethod
-    def at(cls, lobes: Lobes, prior: TexelPrior, scale: Scale) -> SharedLobes:
+    def at(cls, lobes: Lobes, prior: TexelPrior, relief: Relief, scale: Scale) -> SharedLobes:
         """Lobes for the texels of a scale."""
         side = scale.capture.resolution
         rare = torch.cat([(-2 * lobes.shares(part).log()).T for part in scale.members()], dim=1)
-        return cls(lobes, prior.within("normal", -STEEPEST, STEEPEST), rare.reshape(-1, side, side))
+        return cls(lobes, prior.within("normal", -STEEPEST, STEEPEST), relief, rare.reshape(-1, side, side))
 
     @classmethod
     def searched(cls, prior: TexelPrior, scale: Scale, answer: TexelEstimate, seen: ObservationModel,
@@ -59,11 +61,12 @@ class SharedLobes:
         photos, side = replace(seen.observations(scale, answer), robust=None), scale.capture.resolution
         answers, best = searched(scale.solver, photos, prior, answer.x)
         svbrdf = scale.solver.svbrdf(best).map(Tensor.contiguous)
-        seen.stages.measure(sensor_noise(svbrdf, photos.views, scale.capture, renderer, len(best)))
+        seen.measure_noise(svbrdf, scale.capture, len(best), renderer)
         photos = replace(seen.observations(scale, answer), robust=None)
+        relief, _ = with_relief(prior, answer, variances(scale.solver, photos, answer))
         found = evidence(scale.solver, photos, answer, prior.shared, answers)
         learner = Learner(prior.names, scale.member, len(scale.capture))
-        lobes = cls.at(learner.learned(found, seen.config.seed), prior, scale)
+        lobes = cls.at(learner.learned(found, seen.config.seed), prior, relief, scale)
         each = learner.each(found, lobes.lobes)
         lobe = (each.cost.T + lobes.rare.flatten(1)).argmin(dim=0)
         x = best.clone()
@@ -76,8 +79,9 @@ class SharedLobes:
         """The lobes moved to where the texels are that have them, and the texels with these."""
         found = evidence(scale.solver, photos, answer, self.prior.shared, [answer.x])
         learner = Learner(self.prior.names, scale.member, len(scale.capture))
-        lobes = self.at(learner.moved(self.lobes, found, answer.lobe.flatten()), self.prior, scale)
-        return lobes, lobes.having(answer, answer.lobe)
+        lobes = learner.moved(self.lobes, found, answer.lobe.flatten())
+        moved = self.at(lobes, self.prior, self.relief, scale)
+        return moved, moved.having(answer, answer.lobe)
 
     def having(self, answer: TexelEstimate, lobe: Tensor, at_mean: bool = False) -> TexelEstimate:
         """Texels with the priors of these lobes, R x R, and at their means where that is asked for."""
@@ -103,8 +107,22 @@ class SharedLobes:
                       rows: slice) -> Tensor:
         """What costs lack to -2 log of the marginal likelihood of lobes, of some rows of texels (Laplace)."""
         _, narrowed = scale.solver.posterior(photos, answer.x, answer.precision)
-        return (narrowed - answer.precision[self.prior.shared].log().sum(dim=0)
-                + self.rare[:, rows].gather(0, answer.lobe[None])[0])
+        lacking = (narrowed - answer.precision[self.prior.shared].log().sum(dim=0)
+                   + self.rare[:, rows].gather(0, answer.lobe[None])[0])
+        square = answer.x[self.prior.slopes].square()
+        return (lacking + self.relief.improbability(square.sum(dim=0))
+                - (answer.precision[self.prior.slopes] * square).sum(dim=0))
+
+    def with_relief(self, answer: TexelEstimate, variance: Tensor) -> tuple[SharedLobes, TexelEstimate]:
+        """How steep texels are seen to be, and the texels with the prior that this gives."""
+        relief, answer = with_relief(self.prior, answer, variance)
+        return replace(self, relief=relief), answer
+
+    def _as_steep(self, answer: TexelEstimate) -> TexelEstimate:
+        """Texels with a prior that lets them be as steep as they are."""
+        of, precision = self.prior.slopes, answer.precision.clone()
+        precision[of] = precision[of].minimum(self.relief.precision(answer.x[of].square().sum(dim=0)))
+        return answer._replace(precision=precision)
 
     @cached_property
     def others(self) -> list[Tensor]:
@@ -124,7 +142,8 @@ class SharedLobes:
         half = answer.x.shape[-1] // COARSE // 2 if turn == 1 else 0
         corners = [(y, x) for y in (-half, half) for x in (-half, half)] if half else []
         return [*(lambda _, rows, y=y, x=x: answer.rows(rows, y, x) for y, x in corners),
-                *other_starts(self.prior, turn),
+                *(lambda answer, rows, start=start: self._as_steep(start(answer, rows))
+                  for start in other_starts(self.prior, turn)),
                 partial(self._with, lobe=common[turn % len(common)], at_mean=True),
                 partial(self._with, lobe=wide)]
 
@@ -150,3 +169,18 @@ class SharedLobes:
         x, mean, precision, of = x / total, answer.mean.clone(), answer.precision.clone(), self.prior.shared
         mean[of], precision[of] = x[of], FIXED**-2.0
         return answer._replace(x=x, mean=mean, precision=precision)
+
+
+def with_relief(prior: TexelPrior, answer: TexelEstimate, variance: Tensor) -> tuple[Relief, TexelEstimate]:
+    """How steep texels are seen to be, and the texels with the prior of slopes that this gives.
+
+    Args:
+        prior: of the texels.
+        answer: so far.
+        variance: of the unknowns, given photos and prior, U x R x R.
+    """
+    square = (answer.x[prior.slopes].square() + variance[prior.slopes]).sum(dim=0)
+    relief = Relief.learned(square)
+    mean, precision = answer.mean.clone(), answer.precision.clone()
+    mean[prior.slopes], precision[prior.slopes] = 0, relief.precision(square)
+    return relief, answer._replace(mean=mean, precision=precision)

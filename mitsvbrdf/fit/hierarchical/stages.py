@@ -63,10 +63,11 @@ class Stages:
         self.noise = torch.tensor(NOISE)
         self.unexplained = torch.full((2,), torch.nan)
         self.detail = torch.tensor(NOISE)
-        self.sensor = torch.full((2, STEPS), torch.nan)
+        self.sensor = torch.full((3, STEPS), torch.nan)  # brightness, noise as seen last, the least ever seen
         self.hurried = False
         self.last = ROUNDS[Stage.FINE]  # round of FINE, of real photos
         self.others = True  # whether other starts are worth their time
+        self.closing = False  # whether only the last steps are left
         self.matte = False  # whether the photos were found to need no specular lobe
 
     @property
@@ -84,9 +85,18 @@ class Stages:
         """Whether pixels count by the noise of their brightness: not while starts are far from highlights."""
         return self.measured and (self.stage != Stage.FINE or self.rounds > ALIKE)
 
+    @property
+    def by_brightness(self) -> Tensor:
+        """Brightness and noise there: as seen last, and the least ever seen in the last steps of all.
+
+        Texels that are caught by a wrong highlight leave it while noise is high; in the end, a highlight that
+        is met only half must not count as noisy.
+        """
+        return self.sensor[[0, 2 if self.closing else 1]]
+
     def measure(self, sensor: Tensor) -> None:
         """Learn the noise of exact photos by brightness (:mod:`.sensor_noise`)."""
-        self.sensor = sensor
+        self.sensor = torch.stack([*sensor, sensor[1].fmin(self.sensor[2])])
         self.detail = self.noise = sensor[1].square().mean().sqrt()
 
     @property

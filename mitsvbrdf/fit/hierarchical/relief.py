@@ -1,0 +1,59 @@
+"""How steep texels are: a mixture of normal distributions of slopes, learned from all texels.
+
+Most of a surface may be flat while its edges are steep. One width fits neither: flat texels are free to tilt,
+and a steep texel finds any other answer likelier than its slope. The shares of many widths follow from all
+texels (Kiefer and Wolfowitz 1956). Each texel then has a precision of its own, that of a scale mixture of
+normal distributions (Andrews and Mallows 1974).
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+WIDTHS = [0.005 * 2.0**k for k in range(11)]  # standard deviations of a slope
+ROUNDS = 40  # of expectation-maximisation
+NOBODY = 1e-6  # least share of a width
+SAMPLED = 256  # texels a side that are learned from
+
+
+class Relief:
+    """Shares of :data:`WIDTHS` among texels.
+
+    Args:
+        share: of each width; they sum to 1.
+    """
+
+    def __init__(self, share: Tensor) -> None:
+        self.share = share
+
+    @classmethod
+    def learned(cls, square: Tensor) -> Relief:
+        """By the squares to expect of texels' slopes, |p|^2 and its variance, R x R."""
+        step = -(-len(square) // SAMPLED)
+        likely = torch.stack([_density(square[::step, ::step].flatten().double(), w) for w in WIDTHS])
+        share = torch.full_like(likely[:, 0], 1 / len(WIDTHS))
+        for _ in range(ROUNDS):
+            mixed = share[:, None] * likely
+            share = (mixed / mixed.sum(dim=0)).mean(dim=1).clamp_min(NOBODY)
+        return cls(share / share.sum())
+
+    def precision(self, square: Tensor) -> Tensor:
+        """Of the normal distribution that stands for the mixture at slopes of these squares."""
+        return sum((s / w**2 * _density(square, w) for s, w in self._widths), 0.0) / self._density(square)
+
+    def improbability(self, square: Tensor) -> Tensor:
+        """-2 log of the density of slopes of these squares, less 2 log 2 pi."""
+        return -2 * self._density(square).log()
+
+    @property
+    def _widths(self) -> list[tuple[float, float]]:
+        return list(zip(self.share.tolist(), WIDTHS, strict=True))
+
+    def _density(self, square: Tensor) -> Tensor:
+        return sum((s * _density(square, w) for s, w in self._widths), torch.zeros_like(square))
+
+
+def _density(square: Tensor, width: float) -> Tensor:
+    """Of two slopes of this sum of squares, times 2 pi."""
+    return torch.exp(-square / (2 * width**2)) / width**2
