@@ -62,7 +62,7 @@ def test_a_highlight_that_no_photo_shows_is_that_of_look_alikes(unseen_errors):
 @pytest.mark.parametrize("kind", ["exact", "phone"])
 def test_alone_texels_do_not_find_a_highlight_that_no_photo_shows(unseen_errors, monkeypatch):
     shared = unseen_errors()
-    monkeypatch.setattr(TexelPrior, "share", lambda prior, answer, *_: answer)
+    monkeypatch.setattr(TexelPrior, "share", lambda prior, answer, *_, **__: answer)
     alone = unseen_errors(multi_start=False)  # which shares lobes
     assert alone.max() > 0.05 and alone.norm() > 3 * shared.norm()
 
