@@ -25,7 +25,7 @@ def test_photos_in_turn_are_what_photos_all_at_once_would_be(make, side, tmp_pat
 
 
 def test_one_photo_at_a_time_is_in_memory(tmp_path):
-    large = np.zeros((6, 800, 800, 3), np.uint8)
+    large = np.zeros((6, 1600, 1600, 3), np.uint8)  # the middles, of 512 px, are small beside them
     json_capture(tmp_path, large, idx=list(range(6)), camera_pos=[[0, 0, 17.0]] * 6, light_pos=...)
     read_capture(tmp_path, resolution=16)
     tracemalloc.start()
@@ -34,7 +34,7 @@ def test_one_photo_at_a_time_is_in_memory(tmp_path):
         peak = tracemalloc.get_traced_memory()[1]
     finally:
         tracemalloc.stop()
-    one = 800 * 800 * 3
+    one = large[0].size
     assert peak < 1.5 * (one + 4 * one)  # as stored, and as float32; six would be 24 times that of one
 
 
