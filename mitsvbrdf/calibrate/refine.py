@@ -122,9 +122,9 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
         svbrdf: the material, which stays as it is; any resolution.
         views: the N views to start from, around which the priors stand, such as the capture's.
         capture: the N photos.
-        start: changes N x 7 from which the search begins, such as those found with earlier maps; left out,
-            those expected.
-        renderer: draws everything a scene may need; left out: the analytic one, in float64.
+        start: changes N x 7 from which the search begins, such as those found with earlier maps;
+            default: those expected.
+        renderer: draws everything a scene may need; default: the analytic one, in float64.
 
     Returns:
         A local optimum: a highlight must overlap its photo's to be drawn there.
@@ -256,7 +256,7 @@ class Problem:
         return self._cost(u, self.residuals(self.drawn(views)), evidence)
 
     def linear(self, u: Tensor, evidence: tuple[Tensor, Tensor] | None = None) -> Linear:
-        """The cost around u; left out, the evidence is what there is at u."""
+        """The cost around u. Without u the evidence is what there is at u."""
         change = self.change(u)
         radiance = self.drawn(moved(self.given, change))
         error = self.residuals(radiance)

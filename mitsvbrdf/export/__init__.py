@@ -23,7 +23,7 @@ def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS
         svbrdf: the material, checked (:meth:`SVBRDF.check`).
         out: made when missing.
         to: of :data:`FORMATS`.
-        views: the first one is shown by the Mitsuba scene; left out: from above, near the centre.
+        views: the first one is shown by the Mitsuba scene; default: from above, near the centre.
 
     Returns:
         What was written, by format.

@@ -34,7 +34,7 @@ class ExportSettings:
         naming: file names of ``maps``.
         normal: of ``maps``; all other formats define theirs, which is OpenGL's.
         bits: of PNG files; colours of ``usd`` and all of ``gltf`` have 8, heights 16.
-        side: of the patch in metres, for the sizes of meshes and heights; left out: the mesh has side 1, of
+        side: of the patch in metres, for the sizes of meshes and heights; default: the mesh has side 1, of
             whatever it is.
         licence: what users may do with it, in every ``export.json`` and in the GLB.
         repeats: whether its edges meet (:func:`mitsvbrdf.material.tiling.seamless`): textures then repeat,

@@ -42,7 +42,7 @@ FEWEST = 4  # photos, of which a game from solved maps can hold patches out
 # photo by heart (128 px, four known materials, equal time: mean map RMSE .069 from 64 px on, .076 from 32 px
 # on; the start has .085).
 SMALLEST = 64
-AS_PRESET: Any = None  # a setting left out: GanConfig fills in what its preset has
+AS_PRESET: Any = None  # not given: GanConfig fills in what its preset has
 
 
 class Phase(NamedTuple):

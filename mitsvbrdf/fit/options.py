@@ -47,7 +47,7 @@ class FitOptions:
     variant: Literal["llvm_ad_rgb", "cuda_ad_rgb"] = "llvm_ad_rgb"
     """Mitsuba variant."""
     detail: Literal["none", "gan"] = "none"
-    """gan: write OUT/detail, one plausible draw of what no photo shows, for pictures. OUT/maps stays."""
+    """gan: also write OUT/detail, maps with plausible detail where no photo shows any. For pictures only."""
     detail_steps: int = DetailConfig.steps
     """Steps of --detail gan. 80 take under a minute at 256 px."""
 

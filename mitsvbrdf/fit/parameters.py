@@ -61,7 +61,7 @@ def to_raw(svbrdf: SVBRDF, streams: Streams | None = None) -> dict[str, Tensor]:
 
     Args:
         svbrdf: the material.
-        streams: which maps and channels; left out: all.
+        streams: which maps and channels; default: all.
     """
     first, second = streams or STREAMS[svbrdf.bsdf]
     raw = {}

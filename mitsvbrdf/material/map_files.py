@@ -41,12 +41,12 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
     Args:
         folder: the folder (of a strip: as ``tex.png`` or ``strip.png``), or a .glb, .gltf or .mtlx file of
             one material, or the image of a strip; a .mtlx in a folder is followed before its names.
-        bsdf: which set to read where both are there; left out: what material.json says, else ``principled``
+        bsdf: which set to read where both are there; default: what material.json says, else ``principled``
             where base_color and metallic are there. A specular level makes that a ``roughconductor``.
         encoding: of files of 8 and 16 bits: ``linear``, ``gamma 2.2`` or ``srgb``, or by map
-            ``roughness=linear,diffuse=srgb``; left out: what material.json says, else gamma 2.2 for the
+            ``roughness=linear,diffuse=srgb``; default: what material.json says, else gamma 2.2 for the
             field's names, and for all others colours sRGB, the rest linear. EXR is linear.
-        normal: ``gl`` (+Y up) or ``dx`` (+Y down); left out: what material.json or the name says, else
+        normal: ``gl`` (+Y up) or ``dx`` (+Y down); default: what material.json or the name says, else
             what the curl of the slopes says, else ``gl``.
 
     Warns:

@@ -171,7 +171,7 @@ def flat(resolution: int, bsdf: Bsdf = "roughconductor", dtype: torch.dtype = to
     """A constant material with an up-pointing normal.
 
     Args:
-        values: a value for each map but the normal, e.g. ``diffuse=0.5``; left out: 0.5 for colours and
+        values: a value for each map but the normal, e.g. ``diffuse=0.5``; default: 0.5 for colours and
             roughness, 0.04 specular, 0 metallic.
     """
     defaults = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.5, "base_color": 0.5, "metallic": 0.0}

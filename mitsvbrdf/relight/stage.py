@@ -66,11 +66,11 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
     Args:
         mi: the Mitsuba module, an RGB variant set.
         preset: a key of :data:`PRESETS`.
-        environment: a key of :data:`ENVIRONMENTS`, or an .exr or .hdr file; left out: what suits the preset.
+        environment: a key of :data:`ENVIRONMENTS`, or an .exr or .hdr file; default: what suits the preset.
         size: width and height of the film in pixels.
-        frames: how many; left out: what suits the preset.
+        frames: how many; default: what suits the preset.
         tiling: how often the maps are repeated along a side.
-        views: of ``novel``: the first one is shown; left out: the first of
+        views: of ``novel``: the first one is shown; default: the first of
             :func:`mitsvbrdf.views.nine_view_grid`.
 
     Raises:

@@ -57,7 +57,7 @@ def make_renderer(name: str = "mitsuba", variant: str = "llvm_ad_rgb",
     Args:
         name: one of the table above.
         variant: the Mitsuba variant, ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
-        needs: what to compute, to measure what leaving out costs and saves; left out: what each scene needs.
+        needs: what to compute, to measure what leaving out costs and saves; default: what each scene needs.
 
     Raises:
         ConfigError: unknown name.

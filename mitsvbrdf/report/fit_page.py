@@ -68,7 +68,7 @@ def write_report(fit: Fit | str | Path, quick: bool = False, held_out: Capture |
         quick: check the fit's renderer alone, on small maps and few views, and time nothing.
         held_out: photos that the fit did not use, to predict and keep; None: those that an earlier page had.
             Where the capture states no views, also those that it used: all help to place the others.
-        into: the folder to write to, whose photos come before those of the fit's; left out: the fit's.
+        into: the folder to write to, whose photos come before those of the fit's; default: the fit's.
 
     Returns what ``report.json`` holds.
 

@@ -330,7 +330,7 @@
     get fine() { return fine; },  // whether what stands there is as fine as it gets
     // Pixels of a square picture, four values each, row 0 at the top: bytes of sRGB, or, if `linear`, floats of linear
     // radiance. Whatever of the state is not given is as it stands. view: patch, sphere, or rectified, where pixel = texel
-    // for camera and light at these positions. intensity: of the light, rgb; left out: pi |light|^2.
+    // for camera and light at these positions. intensity: of the light, rgb; default: pi |light|^2.
     // axes (right, up, back) and zoom say how the camera of patch and sphere looks.
     pixels({ view = "rectified", size = about.resolution, samples = 1, linear = false, ...overrides } = {}) {
       const scene = sceneOf({ ...overrides, surface: view }), data = screen.read(scene, size, samples, linear);

@@ -30,33 +30,33 @@ class HandheldPhone:
     """A phone, the hand that holds it, and what lies under it. Lengths in cm, angles in degrees."""
 
     megapixels: float = 12.0
-    """Size of the photos, 4 : 3; 12 is 4032 x 3024."""
+    """Size of a photo, whose sides are 4 : 3. 12 megapixels are 4032 x 3024."""
     photos: int = 9
-    """How many photos, from positions like those of the nine-view grid."""
+    """Number of photos. Their positions are like those of the nine-view grid."""
     sheet: float | None = None
-    """Size of the sheet of tags that lies on the material, over the tags' outer edges; left out: no sheet."""
+    """Side of the sheet of tags on the material, over the tags' outer edges. Default: no sheet."""
     depth: float = PAPER_THICKNESS
-    """Of the material under the sheet; left out: that of paper."""
+    """How deep the material lies under the sheet's upper side. Default: the thickness of paper."""
     side: float | None = None
-    """Side of the sample; left out: 24, or that of the sheet."""
+    """Side of the sample of material. Default: the side of the sheet; 24 without a sheet."""
     focal_35mm: float = 26.4
-    """35 mm equivalent focal length, by the diagonal; EXIF rounds it to whole millimetres."""
+    """35 mm equivalent focal length, by the diagonal. EXIF rounds it to whole millimetres."""
     centre: tuple[float, float] = (6.0, -5.0)
-    """Principal point from the middle, in pixels of a photo of 12 megapixels."""
+    """Offset of the principal point from the middle of the photo, in pixels at 12 megapixels."""
     distortion: tuple[float, float] = (0.06, -0.04)
-    """k1 and k2 of the lens."""
+    """Radial distortion k1 and k2 of the lens."""
     vignetting: tuple[float, float] = (-0.25, 0.05)
-    """v1 and v2 of the lens."""
+    """Vignetting v1 and v2 of the lens."""
     flash: tuple[float, float, float] = (1.5, 0.4, 0.0)
-    """Of the light from the lens: right and down in the photo as stored, and forward."""
+    """Position of the flash from the lens: right and down in the photo as stored, and forward."""
     tilt: float = 12.0
     """Largest angle between view and vertical."""
     grain: float = 1.0
-    """Noise, over that of a phone in good light; 0: none."""
+    """Noise of the photos, as a multiple of a phone's noise in good light. 0: none."""
     jpeg: int = 92
-    """Quality of the JPEG files; 0: PNG."""
+    """Quality of the JPEG files. 0: PNG files instead."""
     seed: int = 0
-    """Of positions, turns, aims and noise."""
+    """Seed of positions, turns, aims and noise."""
 
     def check(self) -> None:
         """Raise ConfigError for an option out of range."""

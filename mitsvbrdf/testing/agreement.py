@@ -32,7 +32,7 @@ def assert_renderers_agree(
         maps: the material, float32; :func:`random_material` is a hard one.
         renderers: names, or objects with ``name`` and ``render(svbrdf, views)`` like
             :class:`mitsvbrdf.render.Renderer`.
-        image_mean: see :class:`Limits`; left out: what :data:`LIMITS` says of the renderer, as for the next
+        image_mean: see :class:`Limits`; default: what :data:`LIMITS` says of the renderer, as for the next
             two.
         image_p999: see :class:`Limits`.
         gradients: see :class:`Limits`.

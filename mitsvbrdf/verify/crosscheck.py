@@ -48,7 +48,7 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
         bsdfs: the BSDFs to render each material with.
         renderers: from :func:`mitsvbrdf.render.make_renderer`.
         repeats: timed passes of each configuration, in turn with all others.
-        names: of the views; left out: 00, 01, ...
+        names: of the views; default: 00, 01, ...
         transfer: how display values and FLIP encode light.
         error_maps: filled with the relative error of each configuration's worst view, R x R, largest channel,
             by (material, BSDF, renderer).
