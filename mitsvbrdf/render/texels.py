@@ -118,13 +118,16 @@ class HeldPlugin:
         return self.plugin.eval(self._context, si, to_light)
 
 
-def texel_position(mi: ModuleType, index: Any, side: int) -> Any:
-    """Centre of texel ``index`` (UInt32, row by row) on the patch of side 1: a float64 vector."""
+def texel_position(mi: ModuleType, index: Any, side: Any) -> Any:
+    """Centre of texel ``index`` (UInt32, row by row) on the patch of side 1: a float64 vector.
+
+    ``side`` is in texels, a number or UInt32.
+    """
     import drjit as dr
 
     Vector = dr.float64_array_t(mi.Vector3f)
     row = index // side
-    position = (Vector(index - row * side, row, 0) + 0.5) / side - 0.5
+    position = (Vector(index - row * side, row, 0) + 0.5) / Vector(side) - 0.5
     return Vector(position.x, -position.y, 0)
 
 
@@ -168,15 +171,15 @@ def frozen(function: Callable, shader: HeldPlugin) -> Callable:
 
 
 def from_torch(mi: ModuleType, tensor: Tensor) -> Any:
-    """A flat Dr.Jit array of the variant, Float or its float64 kin, in the same memory where possible."""
+    """A flat Dr.Jit array, Float, its float64 kin or UInt32, in the same memory where possible."""
     import drjit as dr
 
-    kind = dr.float64_array_t(mi.Float) if tensor.dtype == torch.float64 else mi.Float
+    kinds = {torch.float64: dr.float64_array_t(mi.Float), torch.int32: mi.UInt32}
     tensor = tensor.detach().to("cuda" if mi.variant().startswith("cuda") else "cpu",
-                                torch.float32 if kind is mi.Float else torch.float64).contiguous()
+                                tensor.dtype if tensor.dtype in kinds else torch.float32).contiguous()
     if tensor.is_cuda:
         torch.cuda.synchronize()  # Dr.Jit has a stream of its own
-    return kind(tensor.reshape(-1))
+    return kinds.get(tensor.dtype, mi.Float)(tensor.reshape(-1))
 
 
 def to_torch(values: list) -> Tensor:

@@ -47,23 +47,24 @@ class Kernel:
 
     :attr:`steps`, :attr:`posterior` and :attr:`equations` stand behind the methods of
     :class:`~mitsvbrdf.fit.hierarchical.solver.TexelSolver`. Their ``problem`` has the Dr.Jit arrays
-    ``photos`` (of the tile), ``first`` (its first texel), ``views`` (cameras, lights, intensities), ``count``
-    (of the views), ``weight`` (1 / noise^2) and ``fixed`` (maps of the tile), and where they are asked for
-    ``scale`` (of the robust cost) and ``weights`` (of the tile's pixels).
+    ``photos`` (of the tile), ``texels`` (their places, row by row), ``side`` (of the material, in texels),
+    ``views`` (cameras, lights, intensities), ``count`` (of the views), ``weight`` (1 / noise^2) and ``fixed``
+    (maps of the tile), and where they are asked for ``scale`` (of the robust cost) and ``weights`` (of the
+    tile's pixels).
 
     Args:
         mi: the ``mitsuba`` module with the variant to use.
         bsdf, unknowns: of a texel.
         needs: what to compute.
-        side: texels a side.
+        texels: of a tile.
         falloff, transfer: of views and photos.
     """
 
-    def __init__(self, mi: ModuleType, bsdf: Bsdf, unknowns: Unknowns, needs: Needs, side: int,
+    def __init__(self, mi: ModuleType, bsdf: Bsdf, unknowns: Unknowns, needs: Needs, texels: int,
                  falloff: Falloff, transfer: color.Transfer) -> None:
         self.mi, self.unknowns, self.needs = mi, unknowns, needs
-        self.side, self.falloff, self.transfer = side, falloff, transfer
-        self.texels, self.size = tile_rows(side) * side, unknowns.size
+        self.falloff, self.transfer = falloff, transfer
+        self.texels, self.size = texels, unknowns.size
         self.columns = columns_of(unknowns)
         self.pairs = pairs_of(self.columns)
         self.shader = HeldPlugin(mi, bsdf, needs)
@@ -152,7 +153,7 @@ class Texels:
 
         mi, self.kernel, self.problem, self.kind = kernel.mi, kernel, problem, kind
         self.index = dr.arange(mi.UInt32, kernel.texels)
-        self.place = texel_position(mi, problem["first"] + self.index, kernel.side)
+        self.place = texel_position(mi, problem["texels"], problem["side"])
         self.maps, self.stretch = traced_maps(mi, kernel.unknowns, x, problem["fixed"])
         Vector: Any = dr.float64_array_t(mi.Vector3f)
         self.axes, self.turns = None, []

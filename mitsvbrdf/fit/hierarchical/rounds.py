@@ -16,7 +16,6 @@ from __future__ import annotations
 
 from functools import partial
 
-import torch
 from torch import Tensor
 
 from ...capture import Capture
@@ -32,15 +31,15 @@ from ..start import robust_start
 from ..task import FitTask
 from .evidence import SEARCH_STEPS
 from .exact_photos import ExactPhotos
-from .kernel import tiles
 from .observations import ObservationModel
 from .omitted import omitted_stages
 from .real_photos import RealPhotos
 from .scales import Scales
+from .scoring import Scoring
 from .shared_lobes import TRIED
 from .specular_test import Search
 from .stages import MOVED, NOISE, Stage, Stages, unexplained
-from .starts import LESS, Start, other_starts, stepped
+from .starts import other_starts
 from .texel_prior import TexelEstimate, TexelPrior
 from .time_budget import FAR_STEPS, LAST_STEPS, OTHER_STEPS, ROUND_STEPS, STEPS, TimeBudget
 from .view_corrections import LEVELLED, REFINED, ViewCorrections
@@ -154,7 +153,8 @@ class Hierarchical(Method[HierarchicalConfig]):
         fine, turn, lobes = self.stages.stage == Stage.FINE, self.stages.rounds, self.exact.lobes
         steps = self.budget.steps(STEPS, self.budget.to_come) if fine else STEPS
         others = FAR_STEPS if lobes else OTHER_STEPS
-        self.cut, (answer, cost) = steps < STEPS, self._scored(self.answer, steps)
+        scoring = self._scoring()
+        self.cut, (answer, cost) = steps < STEPS, scoring.scored(self.answer, steps)
         moved = sum(int(((answer.x[:, rows] - self.answer.x[:, rows]).abs().amax(dim=0) > MOVED).sum())
                     for rows in strips(answer.x.shape[-1])) / cost.numel()
         self.answer, first = answer, cost.mean()
@@ -163,45 +163,28 @@ class Hierarchical(Method[HierarchicalConfig]):
             if fine and not self.budget.in_time(others * self.scale.texels):
                 self.cut = True
                 break
-            answer, cost = self._scored(answer, others, start, cost)
+            answer, cost = scoring.scored(answer, others, start, cost)
+        if lobes and fine and self.config.neighbours and not self.cut:
+            answer, cost = scoring.searched_further(answer, cost, lobes.further_starts)
         if not self.cut:
             self.stages.moved(moved)
             self.stages.saved(float((first - cost.mean()) / first))
         last = (TRIED * others + LAST_STEPS) * self.scale.texels
         if lobes and self.stages.settled and not self.cut and self.budget.in_time(last):
             self.stages.closing = True
-            answer, cost = self._scored(answer, others)
-            answer = lobes.averaged(answer, cost, partial(self._scored, steps=others))
-            answer, _ = self._scored(answer, LAST_STEPS)
+            scoring = self._scoring()
+            answer, cost = scoring.scored(answer, others)
+            if self.config.neighbours:
+                answer, cost = scoring.searched_further(answer, cost, lobes.further_starts)
+            answer = lobes.averaged(answer, cost, partial(scoring.scored, steps=others))
+            answer, _ = scoring.scored(answer, LAST_STEPS)
         self.answer = answer
         return cost.mean()
 
-    def _scored(self, answer: TexelEstimate, steps: int, start: Start = TexelEstimate.rows,
-                cost: Tensor | None = None) -> tuple[TexelEstimate, Tensor]:
-        """An answer after some steps from a start, and the cost of each texel, by tiles.
-
-        Args:
-            answer: all texels.
-            steps: of Levenberg-Marquardt.
-            start: from it.
-            cost: of the answer, R x R: texels keep what they are where they would not cost less.
-        """
-        photos, lobes = self.seen.observations(self.scale, answer), self.exact.lobes
-        whole, least = answer.blank(), torch.empty_like(answer.x[0])
-        with self.budget.timed("solver", steps * self.scale.texels):
-            for rows in tiles(len(least)):
-                begun, here = start(answer, rows), photos.of_rows(rows)
-                found = stepped(self.scale.solver, here, begun, self.prior, steps)
-                other, its = begun._replace(x=found.x), found.data + found.prior
-                if lobes:
-                    its += lobes.improbability(self.scale, here, other, rows)
-                if cost is not None:
-                    better = its < cost[rows] * (1 - LESS)
-                    other = answer.rows(rows).where(better, other)
-                    its = torch.where(better, its, cost[rows])
-                whole.put(rows, other)
-                least[rows] = its
-        return whole, least
+    def _scoring(self) -> Scoring:
+        """What texels of the present round cost."""
+        photos = self.seen.observations(self.scale, self.answer)
+        return Scoring(self.scale, photos, self.prior, self.exact.lobes, self.budget)
 
     def _move_views(self) -> None:
         """Move camera and flash if this round does so; the patch as a whole is flat (in z = 0)."""

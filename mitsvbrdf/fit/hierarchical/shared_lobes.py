@@ -17,13 +17,14 @@ from .lobes import Learner, Lobes
 from .observations import ObservationModel
 from .relief import Relief
 from .scales import COARSE, Scale
-from .solver import Observations
-from .starts import Start, other_starts, variances
+from .solver import Observations, TexelSolver
+from .starts import GOLDEN, TILTS, Start, other_starts, tilted, variances
 from .texel_prior import FIXED, TexelEstimate, TexelPrior
 
 LIKELY = 8  # lobes that are tried in a texel: those most common among its look-alikes
 TRIED = LIKELY + 2  # by :meth:`SharedLobes.averaged`
 STEEPEST = 10.0  # slope of a normal: 84 degrees
+TURNS = 6  # tilts that a texel is begun at whose photos refuse its answer
 FAR_MORE = 30.0  # log of how much likelier than the present one a lobe may count
 
 
@@ -103,12 +104,11 @@ class SharedLobes:
         planes = {name: nearest(getattr(answer, name)) for name in ("x", "mean", "precision")}
         return answer._replace(lobe=nearest(answer.lobe[None])[0].long(), **planes)
 
-    def improbability(self, scale: Scale, photos: Observations, answer: TexelEstimate,
-                      rows: slice) -> Tensor:
-        """What costs lack to -2 log of the marginal likelihood of lobes, of some rows of texels (Laplace)."""
-        _, narrowed = scale.solver.posterior(photos, answer.x, answer.precision)
+    def improbability(self, solver: TexelSolver, photos: Observations, answer: TexelEstimate) -> Tensor:
+        """What costs of the photos' texels lack to -2 log of the lobes' marginal likelihood (Laplace)."""
+        _, narrowed = solver.posterior(photos, answer.x, answer.precision)
         lacking = (narrowed - answer.precision[self.prior.shared].log().sum(dim=0)
-                   + self.rare[:, rows].gather(0, answer.lobe[None])[0])
+                   + self.rare.flatten(1)[answer.lobe, photos.places(slice(0, len(answer.lobe)))])
         square = answer.x[self.prior.slopes].square()
         return (lacking + self.relief.improbability(square.sum(dim=0))
                 - (answer.precision[self.prior.slopes] * square).sum(dim=0))
@@ -146,6 +146,22 @@ class SharedLobes:
                   for start in other_starts(self.prior, turn)),
                 partial(self._with, lobe=common[turn % len(common)], at_mean=True),
                 partial(self._with, lobe=wide)]
+
+    def further_starts(self, answer: TexelEstimate, texels: Tensor) -> list[TexelEstimate]:
+        """Starts of the texels at some places whose photos refuse their answer.
+
+        All neighbours with their lobes, then tilts with all else as it is in the mean: such a texel explains
+        nothing, so none of its numbers is worth keeping.
+        """
+        side, own, wide = answer.x.shape[-1], answer.of_texels(texels), self.others[-1].take(texels).long()
+        rows, columns = texels // side, texels % side
+        near = [answer.of_texels((rows + y) % side * side + (columns + x) % side)
+                for y in (-1, 0, 1) for x in (-1, 0, 1) if y or x]
+        x = answer.x.mean(dim=(1, 2))[:, None, None].expand_as(own.x)
+        tilts = range(TURNS if len(self.prior.slopes) else 1)
+        return [self._as_steep(start) for start in [*near, *(
+            tilted(lobed._replace(x=x), self.prior, TILTS[turn % len(TILTS)], GOLDEN * turn)
+            for lobed in (own, self.having(own, wide)) for turn in tilts)]]
 
     def _with(self, answer: TexelEstimate, rows: slice, lobe: Tensor, at_mean: bool = False) -> TexelEstimate:
         return self.having(answer.rows(rows), lobe[rows].long(), at_mean)

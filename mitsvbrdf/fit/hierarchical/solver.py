@@ -1,11 +1,10 @@
 """Levenberg-Marquardt for every texel at once, through Mitsuba's BSDF plugins.
 
-A rectified photo shows texel (i, j) in pixel (i, j), so a fit without ties between texels is one small
-least-squares problem a texel: a few unknowns, three values a photo. One thread solves it: values and slopes
-of all photos by forward derivatives of the plugin, the normal equations and their Cholesky factor stay in its
-registers, and nothing but the photos is read in the loop. After Levenberg 1944, Marquardt 1963 (damping in
-proportion to the diagonal) and Bertsekas 1982 (an unknown at its bound that wants out is left out of the step
-of the others).
+A rectified photo shows a texel in one pixel, so a fit without ties between texels is one small least-squares
+problem a texel: a few unknowns, three values a photo. One thread solves it. Slopes are forward derivatives of
+the plugin; the normal equations stay in registers, and the loop reads nothing but the photos. After Levenberg
+1944, Marquardt 1963 (damping in proportion to the diagonal) and Bertsekas 1982 (an unknown at its bound that
+wants out takes no part in the step of the others).
 """
 
 from __future__ import annotations
@@ -28,7 +27,7 @@ from ...render.plugins import register
 from ...render.texels import from_torch, to_torch
 from ...views import Views
 from ..fixed_maps import unknown_but
-from .kernel import Kernel, tiles
+from .kernel import Kernel, tile_rows, tiles
 from .sensor_noise import noise_at
 from .unknowns import Unknowns
 
@@ -50,6 +49,8 @@ class Observations:
             not to be given up as one.
         weights: w of each photo's pixels, N x R x R; None for 1.
         sensor: noise by brightness (:mod:`.sensor_noise`), which w also counts; None: it is the same.
+        texels: which texels of the material the pixels show, row by row, as many as the pixels; None: all.
+        side: texels a side of the material; 0: that of the photos.
     """
 
     photos: Tensor
@@ -59,17 +60,33 @@ class Observations:
     robust: float | None = None
     weights: Tensor | None = None
     sensor: Tensor | None = None
-    first: int = 0  # row of the texels that these are the first row of
+    texels: Tensor | None = None
+    side: int = 0
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "side", self.side or self.photos.shape[2])
+
+    def places(self, rows: slice) -> Tensor:
+        """Which texels some rows of the pixels show."""
+        if self.texels is not None:
+            return self.texels[rows]
+        return torch.arange(rows.start * self.side, rows.stop * self.side).reshape(-1, self.side)
 
     def of_rows(self, rows: slice) -> Observations:
-        """Some rows of the photos."""
+        """Some rows of the pixels."""
         weights = None if self.weights is None else self.weights[:, rows]
-        return replace(self, photos=self.photos[:, rows], weights=weights, first=self.first + rows.start)
+        return replace(self, photos=self.photos[:, rows], weights=weights, texels=self.places(rows))
 
-    def in_rows(self, rows: slice) -> tuple[Tensor, Tensor | None]:
-        """Display values and weights of some rows of the photos, float32."""
-        photos, weights = color.shown(self.photos[:, rows]).float(), self.weights
-        weights = None if weights is None else weights[:, rows].float()
+    def of_texels(self, texels: Tensor) -> Observations:
+        """The pixels of some texels of the whole, a square of places."""
+        photos, weights = self.photos.flatten(1, 2)[:, texels], self.weights
+        weights = None if weights is None else weights.flatten(1)[:, texels]
+        return replace(self, photos=photos, weights=weights, texels=texels)
+
+    def read(self) -> tuple[Tensor, Tensor | None]:
+        """Display values and weights of the pixels, float32."""
+        photos, weights = color.shown(self.photos).float(), self.weights
+        weights = None if weights is None else weights.float()
         if self.sensor is not None:
             told = (self.noise / noise_at(photos.mean(dim=-1), self.sensor)).square()
             weights = told if weights is None else weights * told
@@ -123,8 +140,8 @@ class TexelSolver:
 
     def __init__(self, bsdf: Bsdf, fixed: Mapping[str, Tensor] | None = None, grey_specular: bool = False,
                  variant: str = "llvm_ad_rgb") -> None:
-        self.bsdf, self.fixed, self.variant, self.grey_specular = bsdf, dict(fixed
-                                                                             or {}), variant, grey_specular
+        self.bsdf, self.fixed = bsdf, dict(fixed or {})
+        self.variant, self.grey_specular = variant, grey_specular
         with using_mitsuba(variant) as self.mi:
             register(variant)
         counts = CHANNELS[bsdf] | {"normal": 2} | ({"specular": 1} if grey_specular else {})
@@ -172,7 +189,7 @@ class TexelSolver:
         """
         with using_mitsuba(self.variant) as mi:
             bounds = *([opaque(mi, v) for v in bound] for bound in (low, high)), opaque(mi, iterations)
-            steps = self._kernel(observations, x.shape[-1]).steps
+            steps = self._kernel(observations, x).steps
             moved, (damping, data, prior) = self._tiled(
                 observations, lambda problem, x, damping, mean, precision: steps(
                     problem, x, damping[0], mean, precision, *bounds), x, damping[None], mean, precision)
@@ -188,7 +205,7 @@ class TexelSolver:
     def posterior(self, observations: Observations, x: Tensor, precision: Tensor) -> tuple[Tensor, Tensor]:
         """:meth:`variances`, and the log determinant of J^T W J + precision, R x R."""
         with using_mitsuba(self.variant):
-            posterior = self._kernel(observations, x.shape[-1]).posterior
+            posterior = self._kernel(observations, x).posterior
             (found,) = self._tiled(observations, posterior, x, precision)
         return found[:-1], found[-1]
 
@@ -198,12 +215,11 @@ class TexelSolver:
         J are the slopes of the errors by the unknowns, W the weights: w / noise^2, 0 where a clipped value
         says nothing, times 1 / sqrt(1 + e^2 / s^2) if robust.
         """
-        side, count = x.shape[-1], len(x)
         with using_mitsuba(self.variant):
-            pairs = self._kernel(observations, side).pairs
-            (cost,), slope, curve = self._tiled(observations, self._kernel(observations, side).equations, x)
-        dense = curve.new_zeros(count, count, *x.shape[1:])
-        for (i, j), value in zip(pairs, curve):
+            kernel = self._kernel(observations, x)
+            (cost,), slope, curve = self._tiled(observations, kernel.equations, x)
+        dense = curve.new_zeros(len(x), len(x), *x.shape[1:])
+        for (i, j), value in zip(kernel.pairs, curve):
             dense[i, j] = dense[j, i] = value
         return cost, slope, dense
 
@@ -211,16 +227,16 @@ class TexelSolver:
                *planes: Tensor) -> list[Tensor]:
         """Copies of what a kernel makes of planes ? x R x R, each ? x R x R, by :func:`.kernel.tiles`.
 
-        The planes may be some rows alone, those of the observations. No Dr.Jit array outlives the call.
+        The planes may be of some texels alone, those of the observations. No Dr.Jit array outlives the call.
         """
         (count, side), found = planes[0].shape[1:], list[Tensor]()
-        problem = self._problem(observations, side)
+        problem = self._problem(observations)
         fixed = problem.pop("fixed")
         for of in tiles(side, count):
-            photos, weights = observations.in_rows(of)
-            first = observations.first + of.start
-            here = problem | {"first": opaque(self.mi, first * side), "photos": from_torch(self.mi, photos),
-                              "fixed": {name: self._planes(value[:, first:first + len(photos[0])])
+            (photos, weights), texels = observations.of_rows(of).read(), observations.places(of).flatten()
+            here = problem | {"texels": from_torch(self.mi, texels.int()),
+                              "photos": from_torch(self.mi, photos),
+                              "fixed": {name: self._planes(value.flatten(1)[:, texels])
                                         for name, value in fixed.items()}}
             if weights is not None:
                 here["weights"] = from_torch(self.mi, weights)
@@ -244,14 +260,14 @@ class TexelSolver:
         return needs, {name: value for name, value in needed_maps(material, needs).items()
                        if name in self.fixed}
 
-    def _problem(self, observations: Observations, side: int) -> dict:
+    def _problem(self, observations: Observations) -> dict:
         """What a kernel needs to know of the observations beside their pixels, as Dr.Jit arrays.
 
         The fixed maps are torch tensors, C x R x R.
         """
         mi, views = self.mi, observations.views.in_patch_sides().to(torch.float64)
-        _, fixed = self._known(observations.views, side)
-        problem = {"count": opaque(mi, len(views)),
+        _, fixed = self._known(observations.views, observations.side)
+        problem = {"count": opaque(mi, len(views)), "side": opaque(mi, observations.side),
                    "weight": opaque(mi, observations.noise**-2.0),
                    "views": [from_torch(mi, v) for v in (views.camera, views.light, views.intensity)],
                    "fixed": {name: value.permute(2, 0, 1) for name, value in fixed.items()}}
@@ -259,9 +275,9 @@ class TexelSolver:
             problem["scale"] = opaque(mi, float(observations.robust))
         return problem
 
-    def _kernel(self, observations: Observations, side: int) -> Kernel:
-        needs, _ = self._known(observations.views, side)
-        key = needs, side, observations.views.falloff, observations.transfer
+    def _kernel(self, observations: Observations, x: Tensor) -> Kernel:
+        needs, _ = self._known(observations.views, observations.side)
+        key = needs, tile_rows(x.shape[-1]) * x.shape[-1], observations.views.falloff, observations.transfer
         if key not in self._kernels:
             self._kernels[key] = Kept(Kernel(self.mi, self.bsdf, self.unknowns, *key))
         return self._kernels[key].content

@@ -40,14 +40,18 @@ def other_starts(prior: TexelPrior, turn: int) -> list[Start]:
     by = 1 if turn % 2 else -1
     starts: list[Start] = [partial(TexelEstimate.rows, down=by), partial(TexelEstimate.rows, right=by)]
     if len(prior.slopes):
-        starts += [partial(_tilted, prior=prior, steep=TILTS[turn % len(TILTS)], along=GOLDEN * turn
-                           + half_turn) for half_turn in (0.0, math.pi)]
+        starts += [partial(_tilted, prior=prior, steep=TILTS[turn % len(TILTS)],
+                           along=GOLDEN * turn + half_turn) for half_turn in (0.0, math.pi)]
     return starts
 
 
 def _tilted(answer: TexelEstimate, rows: slice, prior: TexelPrior, steep: float,
             along: float) -> TexelEstimate:
-    answer = answer.rows(rows)
+    return tilted(answer.rows(rows), prior, steep, along)
+
+
+def tilted(answer: TexelEstimate, prior: TexelPrior, steep: float, along: float) -> TexelEstimate:
+    """Texels that have this slope, towards an angle, and the shared numbers of their prior."""
     x = answer.x.clone()
     x[prior.shared] = answer.mean[prior.shared]
     x[prior.slopes] = torch.tensor([steep * math.cos(along), steep * math.sin(along)])[:, None, None]

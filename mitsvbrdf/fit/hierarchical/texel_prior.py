@@ -45,23 +45,26 @@ class TexelEstimate(NamedTuple):
     spread: Tensor
     lobe: Tensor = torch.empty(0, dtype=torch.long)
 
+    @property
+    def _changed(self) -> tuple[str, ...]:
+        """What differs from texel to texel: the prior, too, where that goes with its lobe."""
+        return ("x", "mean", "precision", "lobe") if len(self.lobe) else ("x",)
+
     def where(self, better: Tensor, other: TexelEstimate) -> TexelEstimate:
         """This estimate, but another one in some texels, R x R."""
-        changed = ("x", "mean", "precision", "lobe") if len(self.lobe) else ("x",)
         return self._replace(**{name: torch.where(better, getattr(other, name), getattr(self, name))
-                                for name in changed})
+                                for name in self._changed})
 
     def rows(self, rows: slice, down: int = 0, right: int = 0) -> TexelEstimate:
         """Some rows of texels, or each as the neighbour is that lies so far above and to the left.
 
         Its prior, too, where that goes with its lobe.
         """
-        changed = ("x", "mean", "precision", "lobe") if len(self.lobe) else ("x",)
         at = (torch.arange(rows.start, rows.stop) - down) % self.x.shape[1]
 
         def taken(name: str) -> Tensor:
             planes = getattr(self, name)
-            if name not in changed or not (down or right):
+            if name not in self._changed or not (down or right):
                 return planes[..., rows, :] if planes.dim() > 1 else planes
             return planes[..., at, :].roll(right, -1)
 
@@ -73,13 +76,27 @@ class TexelEstimate(NamedTuple):
 
     def put(self, rows: slice, part: TexelEstimate) -> None:
         """Write texels of some rows, and their prior where it goes with their lobe, into these planes."""
-        for name in ("x", "mean", "precision", "lobe") if len(self.lobe) else ("x",):
+        for name in self._changed:
             getattr(self, name)[..., rows, :] = getattr(part, name)
+
+    def of_texels(self, texels: Tensor) -> TexelEstimate:
+        """The texels at these places, row by row."""
+        return self._replace(**{name: planes.flatten(-2)[..., texels] if planes.dim() > 1 else planes for
+                                name, planes in zip(self._fields, self) if name != "spread"})
+
+    def put_texels(self, texels: Tensor, part: TexelEstimate) -> None:
+        """:meth:`put` of texels at these places."""
+        for name in self._changed:
+            planes = getattr(self, name)
+            planes[..., texels // planes.shape[-1], texels % planes.shape[-1]] = getattr(part, name)
 
     def blank(self) -> TexelEstimate:
         """Planes for :meth:`put`, of which nothing is known."""
-        changed = ("x", "mean", "precision", "lobe") if len(self.lobe) else ("x",)
-        return self._replace(**{name: torch.empty_like(getattr(self, name)) for name in changed})
+        return self._replace(**{name: torch.empty_like(getattr(self, name)) for name in self._changed})
+
+    def copied(self) -> TexelEstimate:
+        """Planes for :meth:`put` that hold what these do."""
+        return self._replace(**{name: getattr(self, name).clone() for name in self._changed})
 
 
 class TexelPrior:

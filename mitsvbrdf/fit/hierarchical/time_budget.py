@@ -53,7 +53,8 @@ class TimeBudget:
         """Learn what so much work takes."""
         began = self.clock()
         yield
-        self.rates[kind] = min((self.clock() - began) / work, self.rates.get(kind, math.inf))
+        if work:
+            self.rates[kind] = min((self.clock() - began) / work, self.rates.get(kind, math.inf))
 
     @property
     def to_come(self) -> int:

@@ -9,8 +9,8 @@ from mitsvbrdf.fit.hierarchical import (
     cross_validation,
     observations,
     real_photos,
-    rounds,
     scales,
+    scoring,
     specular_test,
     stages,
     starts,
@@ -58,7 +58,7 @@ def timed(shots, monkeypatch):
             clock.work("solver", answer.x.shape[-1], count)
             return starts.stepped(solver, photos, answer, prior, count)
 
-        for where in (observations, real_photos, cross_validation, rounds, specular_test):
+        for where in (observations, real_photos, cross_validation, scoring, specular_test):
             monkeypatch.setattr(where, "stepped", stepped)
         monkeypatch.setattr(method.corrections, "refine", lambda maps, *_: clock.work(
             "views", maps.resolution, method.corrections.work))

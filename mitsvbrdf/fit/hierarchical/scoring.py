@@ -1,0 +1,123 @@
+"""What each texel's answer costs, and a further search where the photos refuse it.
+
+Most texels arrive from the usual starts. Some do not: a texel that turned away from the light explains its
+photos a thousand times worse than their noise allows, and knows no way out. The noise tells which these are.
+They alone are searched from more starts and by more steps (multi-start; Martí et al. 2018).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from .kernel import tiles
+from .scales import Scale
+from .shared_lobes import SharedLobes
+from .solver import Observations
+from .starts import LESS, Start, stepped
+from .texel_prior import TexelEstimate, TexelPrior
+from .time_budget import TimeBudget
+
+RARE = 1e-6  # how often chance makes the errors of a texel larger than is believed
+FURTHER_STEPS, PASSES = 20, 3  # of the further search: steps from each start, and how often texels pass it
+GROUP = 64  # texels a side of a square in which refused texels are searched together
+
+Scored = tuple[TexelEstimate, Tensor]  # an answer, and what each texel costs, R x R
+
+
+@dataclass(frozen=True, eq=False)
+class Scoring:
+    """Costs of the texels of a round.
+
+    Args:
+        scale: of the texels.
+        photos: as the round sees them.
+        prior: of the texels.
+        lobes: that they share, if they do.
+        budget: learns what steps take.
+    """
+
+    scale: Scale
+    photos: Observations
+    prior: TexelPrior
+    lobes: SharedLobes | None
+    budget: TimeBudget
+
+    def scored(self, answer: TexelEstimate, steps: int, start: Start = TexelEstimate.rows,
+               cost: Tensor | None = None) -> Scored:
+        """An answer after some steps from a start, and the cost of each texel, by tiles.
+
+        Args:
+            answer: all texels.
+            steps: of Levenberg-Marquardt.
+            start: from it.
+            cost: of the answer, R x R: texels keep what they are where they would not cost less.
+        """
+        whole, least = answer.blank(), torch.empty_like(answer.x[0])
+        with self.budget.timed("solver", steps * least.numel()):
+            for rows in tiles(len(least)):
+                found, its = self._tried(self.photos.of_rows(rows), start(answer, rows), steps)
+                if cost is not None:
+                    found, its = _better(answer.rows(rows), cost[rows], found, its)
+                whole.put(rows, found)
+                least[rows] = its
+        return whole, least
+
+    def _tried(self, photos: Observations, start: TexelEstimate, steps: int) -> Scored:
+        found = stepped(self.scale.solver, photos, start, self.prior, steps)
+        answer, cost = start._replace(x=found.x), found.data + found.prior
+        if self.lobes:
+            cost += self.lobes.improbability(self.scale.solver, photos, answer)
+        return answer, cost
+
+    def refused(self, answer: TexelEstimate) -> Tensor:
+        """Places of the texels whose errors are no noise (chi-square test)."""
+        from scipy.special import chdtri
+
+        found, limit = [], chdtri(3 * len(self.photos.views), RARE)
+        for rows in tiles(answer.x.shape[-1]):
+            photos = self.photos.of_rows(rows)
+            errors = stepped(self.scale.solver, photos, answer.rows(rows), self.prior, 0).data
+            found.append(self.photos.places(rows)[errors > limit])
+        return torch.cat(found).unique()
+
+    def searched_further(self, answer: TexelEstimate, cost: Tensor,
+                         starts: Callable[[TexelEstimate, Tensor], Sequence[TexelEstimate]]) -> Scored:
+        """The answer with the texels searched further that the photos refuse, while time is left.
+
+        Args:
+            answer: of all texels.
+            cost: of each, R x R.
+            starts: of texels at some places.
+        """
+        for _ in range(PASSES):
+            refused = self.refused(answer)
+            if not len(refused):
+                break
+            before, answer, cost = answer, answer.copied(), cost.clone()
+            moved = False
+            for texels in refused.split(GROUP**2):
+                # always as many, so that one kernel serves all
+                texels = torch.cat((texels, texels[-1:].expand(GROUP**2 - len(texels)))).reshape(GROUP, GROUP)
+                photos, best = self.photos.of_texels(texels), (before.of_texels(texels), cost.take(texels))
+                tried = starts(before, texels)
+                if not self.budget.in_time(len(tried) * FURTHER_STEPS * texels.numel()):
+                    return answer, cost
+                first = best[1]
+                for start in tried:
+                    best = _better(*best, *self._tried(photos, start, FURTHER_STEPS))
+                answer.put_texels(texels, best[0])
+                cost.put_(texels, best[1])
+                moved |= bool((best[1] < first).any())
+            if not moved:
+                break
+        return answer, cost
+
+
+def _better(answer: TexelEstimate, cost: Tensor, other: TexelEstimate, its: Tensor) -> Scored:
+    """Texels of an answer, or of another one where that costs less."""
+    better = its < cost * (1 - LESS)
+    return answer.where(better, other), torch.where(better, its, cost)
