@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import struct
 import warnings
 from collections.abc import Iterator
 from pathlib import Path
@@ -71,6 +72,7 @@ def header(path: Path, error: type[MitsvbrdfError]) -> Header:
         if kind not in KINDS:
             raise ValueError("it holds no such picture")
         if kind == "HEIF":
+            _check_boxes(path)
             needed("pillow_heif", "heic", path, error).register_heif_opener()
         with opened(path, kind) as image:
             size, turned = image.size, orientation(image)
@@ -120,6 +122,19 @@ def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Pict
     if about.profile and about.profile.icc and not data:
         pixels, outside = to_srgb(pixels, about.profile)
     return Picture(pixels, opaque, outside)
+
+
+def _check_boxes(path: Path) -> None:
+    """ValueError for a HEIC that ends early. Its decoder would leave missing tiles grey, in silence."""
+    with open(path, "rb") as file:
+        at, end = 0, file.seek(0, 2)
+        while at + 8 <= end:
+            file.seek(at)
+            length, kind, long = struct.unpack(">I4sQ", file.read(16).ljust(16, b"\0"))
+            length = long if length == 1 else length or end - at  # 0: up to the end
+            if kind in (b"meta", b"mdat") and at + length > end:
+                raise ValueError("it ends early")
+            at += max(length, 8)
 
 
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:

@@ -88,5 +88,9 @@ def _plan(result: CaptureResult) -> dict:
     next_place = None if result.next_view is None else [x / result.rig.size for x in result.next_view.camera]
     places = [*sides.values(), *([next_place] if next_place else [])]
     half = max(PLAN_REACH, 0.1 + max(abs(x) for place in places for x in place[:2]))
-    return {"half": half, "cameras": [(name, x, -y) for name, (x, y, _) in sides.items()],
+    dots = [(name, x, -y) for name, (x, y, _) in sides.items()]
+    # a number stands below its dot where another dot is in its way
+    cameras = [(name, x, y, y + (0.075 if any(abs(x - u) < 0.06 and 0 < y - v < 0.1 for _, u, v in dots)
+                                 else -0.035)) for name, x, y in dots]
+    return {"half": half, "cameras": cameras,
             "stand": next_place and (next_place[0], -next_place[1])}

@@ -50,7 +50,7 @@ def judged(record: dict) -> tuple[bool, str]:
     """Whether no check found a fault in the maps, and one sentence that says so, or what to look at first."""
     photos = f"{len(record['per_photo'])} photo{'s' * (len(record['per_photo']) != 1)}"
     error = f"{record['rerender_rmse']:.3f} (RMSE, where 1 is white)"
-    met = f"rendered again, they differ from {photos} by {error}"
+    met = f"the maps, rendered again, differ from {photos} by {error}"
     if record["stopped"] == "interrupted":
         return False, f"Look at this: the fit was interrupted, and these are the best maps until then; {met}."
     if record["warnings"]:

@@ -219,3 +219,16 @@ def test_heic_keeps_the_bits_it_has(tmp_path, mode, bits, monkeypatch):
     found = decoded(tmp_path / "a.heic", CaptureError)
     assert found.dtype == np.uint16 and found.shape == (64, 1024, 3) and len(np.unique(found[..., 1])) > 1000
     assert np.abs(found.astype(int) - ramp).max() <= 2 * 65535 / (2**bits - 1) and found.max() == 65535
+
+
+def test_heic_of_tiles_that_ends_early_is_refused(tmp_path):
+    heif = pytest.importorskip("pillow_heif", reason='needs pip install "mitsvbrdf[heic]"')
+    noise = Image.fromarray(np.random.default_rng(0).integers(0, 255, (256, 256, 3), dtype=np.uint8))
+    heif.from_pillow(noise).save(tmp_path / "a.heic", quality=90, tile_size=64)
+    whole = (tmp_path / "a.heic").read_bytes()
+    assert decoded(tmp_path / "a.heic", CaptureError).shape == (256, 256, 3)
+    # a phone writes more behind its photo, be it a box or not
+    assert read(tmp_path, whole + b"\0\0\0\x09sefd1" + b"\0\1\0\x09SEFH").shape == (256, 256, 3)
+    for share in (0.999, 0.9, 0.5, 0.1):
+        with pytest.raises(CaptureError, match="HEIC file, got .*: it ends early; copy"):
+            read(tmp_path, whole[:int(len(whole) * share)])
