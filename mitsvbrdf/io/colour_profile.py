@@ -35,6 +35,7 @@ PRIMARIES = {  # code points of H.273
 }
 GAMMAS = {4: 2.2, 5: 2.8, 8: 1.0}  # transfer of H.273; viewers show that of video (1, 6, 14, 15) as sRGB's
 HIGH_RANGE = {16: "PQ", 18: "HLG"}
+MAKE = 271  # tag of EXIF
 USUAL_GAMMA = 1 / 2.2, 0.03  # of gAMA; what lies as near as this is what sRGB pictures state
 GREY = "1", "L", "LA", "I", "I;16", "I;16B"  # Pillow's names of channels
 NEAR = 1 / 255  # a profile that moves no colour farther is that of sRGB
@@ -56,6 +57,8 @@ def profile_of(image: Image, path: Path) -> Profile | None:
     points = _cicp(path) if image.format == "PNG" else image.info.get("nclx_profile")
     icc = image.info.get("icc_profile")
     if points and (image.format == "PNG" or not icc):
+        if points.get("full_range_flag") == 0 and _made_by_sony(image):
+            return Profile("limited range", reason="Sony's cameras state it of full range: its decoder clips")
         return _of_points(points["color_primaries"], points["transfer_characteristics"])
     if icc:
         found = _of_icc(icc)
@@ -175,6 +178,13 @@ def _of_png(image: Image) -> Profile | None:
     corners = white_first[2:] + white_first[:2] if white_first else REC709
     other = 1 / gamma if gamma and abs(gamma - USUAL_GAMMA[0]) > USUAL_GAMMA[1] else None
     return _made("gAMA and cHRM of PNG", tuple(corners), other) if other or not is_rec709(corners) else None
+
+
+def _made_by_sony(image: Image) -> bool:
+    try:
+        return str(image.getexif().get(MAKE)).upper().startswith("SONY")
+    except Exception:  # an EXIF block that cannot be read
+        return False
 
 
 def _cicp(path: Path) -> dict[str, int] | None:

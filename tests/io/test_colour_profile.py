@@ -141,6 +141,19 @@ def test_what_cannot_be_used_is_named(tmp_path, points, name):
         read_image(tmp_path / "b.png", MapsError)
 
 
+@pytest.mark.parametrize(("make", "full", "wrong"), [("SONY", 0, True), ("SONY", 1, False),
+                                                     ("Google", 0, False)])
+def test_the_limited_range_that_sony_states_of_full_range_is_named(tmp_path, make, full, wrong):
+    heif = pytest.importorskip("pillow_heif", reason='needs pip install "mitsvbrdf[heic]"')
+    exif = Image.Exif()
+    exif[271] = make
+    heif.from_pillow(Image.new("RGB", (64, 64), 128)).save(
+        tmp_path / "a.heic", exif=exif.tobytes(), save_nclx_profile=True, full_range_flag=full,
+        color_primaries=1, transfer_characteristics=13, matrix_coefficients=6)
+    found = header(tmp_path / "a.heic", CaptureError).profile
+    assert bool(found and found.name == "limited range" and "Sony" in found.reason) == wrong
+
+
 def test_numbers_that_are_no_colours_stay(tmp_path):
     colour_files.save_in(tmp_path / "a.png", INSIDE, "Adobe RGB", 8)
     stored = np.asarray(Image.open(tmp_path / "a.png")) / np.float32(255)
