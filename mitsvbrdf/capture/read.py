@@ -18,15 +18,18 @@ from ..io.decode import Picture, upright
 from ..io.entry import entry
 from ..io.images import averaged, unmasked, write_png
 from ..io.json import load
+from ..material.naming import SUFFIXES as MAPS
+from ..material.naming import kind_of
 from ..views import FIELD_OF_VIEW, Falloff, default_views
 from .calibrated import from_json, from_text, stated_in
 from .capture import LEAST_SIDE, Capture, converted, notes_of, used_transfer
 from .lens import field_of_view
-from .photo import SUFFIXES, Photo, Unreadable, differences, photos_in, with_one_balance
+from .photo import SUFFIXES, Photo, Unreadable, differences, files_of, photos_in, with_one_balance
 from .rectify import filled
 from .sharpness import CLEARLY, MOST_PHOTOS, carried, middle
 from .turned import laid_alike
 
+OF_MATERIALS = "give photos; `synth` takes some of a material, `evaluate --reference` compares a fit with it"
 MOST_SQUARE = 2048  # pixels a side of what is read of a photo without calibration
 
 
@@ -88,6 +91,8 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
         capture = from_json(path, falloff, resolution)
     elif path.is_file() and path.suffix.lower() in SUFFIXES:
         capture = _from_plain(path, falloff, resolution, transfer, report)
+    elif path.is_file():
+        raise CaptureError("a photo or a folder of photos", f"the file {path}", OF_MATERIALS)
     elif not path.is_dir():
         raise CaptureError("a photo or a folder of photos", f"no folder at {path}", "check the name")
     elif (path / "capture.json").is_file():
@@ -100,6 +105,9 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
     elif stated := stated_in(path):
         capture = from_json(stated, falloff, resolution)
         capture = capture.but(notes=(f"the calibration is that of {stated.name}", *capture.notes))
+    elif {"normal", "roughness"} <= {kind.partition(" ")[0] for p in files_of(path, MAPS)
+                                     for kind in kind_of(p.stem)}:
+        raise CaptureError("a folder of photos", f"the maps of a material in {path}", OF_MATERIALS)
     else:
         capture = _from_plain(path, falloff, resolution, transfer, report)
         if above := _stated_above(path):

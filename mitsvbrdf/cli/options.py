@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
 Overwrite = Annotated[bool, arg(help="Replace earlier results, also export/ and relight/ made of them.")]
 JsonFile = Annotated[Path | None, arg(name="json", help="Write all figures to this file.")]
-Reference = Annotated[str | None, arg(help="Known maps: a folder or builtin:NAME.")]
+Reference = Annotated[str | None, arg(help="Known maps: a folder, a .glb file or builtin:NAME.")]
 # Commands with this parameter run inside errors.strict: see cli.command.
 # How the files of --reference are read, and those of MAPS in a command without it.
 MapEncoding = UseAppendAction[Annotated[tuple[str, ...], arg(metavar="NAME=CODE", help=(

@@ -256,3 +256,16 @@ def test_a_lone_photo_is_read_as_the_only_one_of_its_folder(tmp_path):
     assert alone.notes == within.notes and not alone.calibrated
     (tmp_path / "words.txt").write_text("none")
     fails(tmp_path / "words.txt", "a photo or a folder")
+
+
+@pytest.mark.parametrize("names", [("diffuse.png", "normal.png", "roughness.png"),
+                                   ("wood_diff_1k.jpg", "wood_nor_gl_1k.exr", "wood_rough_1k.exr")])
+def test_maps_are_no_photos(tmp_path, names):
+    for name in names:
+        picture = cv2.imencode(".png", np.full((64, 64, 3), 128, np.uint8))[1]
+        (tmp_path / name).write_bytes(picture.tobytes())  # only names tell what it is
+    with pytest.raises(CaptureError, match="got the maps of a material in .*; give photos"):
+        read_capture(tmp_path)
+    (tmp_path / "a.glb").write_bytes(b"glTF")
+    with pytest.raises(CaptureError, match="got the file .*a.glb; give photos"):
+        read_capture(tmp_path / "a.glb")
