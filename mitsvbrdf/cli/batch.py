@@ -47,7 +47,7 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
           sheet: Annotated[float | None, arg(metavar="CM", help=(
               "Measured size of the printed sheet of tags around the material in raw photos."))] = None,
           strict: Strict = False, advanced: Advanced = False) -> int:
-    """Fit many captures into one library, whatever dies on the way.
+    """Fit many captures into one library. Run again after a crash, it goes on.
 
     `mitsvbrdf batch shots/ -o library` fits each capture in shots/. The options are those of `mitsvbrdf fit`.
     The same command again goes on: it checks and skips what is done, fits what has changed, and tries again

@@ -39,8 +39,8 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
     Burn-in is the share of the variance of a map that follows the highlights of the photos of the fit
     (without a fit.json: of the photos given).
 
-    The calibration of held-out photos has errors that no fit can know. --refine-views also measures with the
-    camera, flash and exposure of each photo refined within priors, and prints how far they moved.
+    The calibration of held-out photos has errors unknown to any fit. --refine-views also refines the camera,
+    flash and exposure of each photo within priors, measures again, and prints how far they moved.
     """
     from ..calibrate.refine import Priors
     from ..evaluate import placed

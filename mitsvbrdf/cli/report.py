@@ -12,7 +12,7 @@ from .options import Strict, keep_apart
 
 def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder of a fit.")]],
            capture: Annotated[Path | None, arg(metavar="CAPTURE", help=(
-               "The photos: the page shows those of the fit and predicts the rest."))
+               "Folder of the photos. The page shows the photos of the fit and predicts the others."))
            ] = None,
            quick: Annotated[bool, arg(
                help="Check only the renderer of the fit, on small maps, without timing.")] = False,
