@@ -32,9 +32,11 @@ from .task import FitTask
 from .warnings import SAMPLED, fit_warnings
 
 
-def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -> Fit:
+def diagnosed(loop: Loop, stopped: str, notes: tuple[str, ...]) -> Fit:
     """The fit that a loop ended with; ``notes`` are those of the photos before views were estimated."""
-    capture, renderer, config, method = task.capture, task.renderer, task.config, loop.method
+    method = loop.method.answering
+    task = method.task
+    capture, renderer, config = task.capture, task.renderer, task.config
     assert loop.best is not None
     _, svbrdf, views = loop.best
     solver = method.solvers[0] if isinstance(method, SolvedGan) else method

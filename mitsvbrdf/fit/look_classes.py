@@ -197,6 +197,13 @@ class LookClasses:
                           weight.sum(dim=2) @ color.encode(specular), (weight * found.roughness).sum(
                               (1, 2))[:, None], (each * normal).sum((1, 2))), dim=1)
 
+    @staticmethod
+    def lost(found: Posterior) -> Tensor:
+        """Variance of slopes that means of texels lack, an axis, M."""
+        weight = torch.softmax(found.likely.flatten(1), dim=1).reshape(found.likely.shape)[..., None]
+        mean = (weight * found.slopes).sum((1, 2))
+        return ((weight * found.slopes**2).sum((1, 2)) - mean**2).mean(dim=1)
+
     def uneven(self, found: Posterior, at: Tensor) -> Tensor:
         """How much texels differ between rings of equal half angle: a stationary material's do not.
 
@@ -208,9 +215,13 @@ class LookClasses:
         return (between / (texels.var(dim=0) + EVEN**2)).sum()
 
 
-def material(texels: Tensor, side: int) -> SVBRDF:
-    """The material of means of texels, M x 10."""
+def material(texels: Tensor, lost: Tensor, side: int) -> SVBRDF:
+    """The material of means of texels, M x 10, whose lobes take the variance ``lost`` of slopes, M.
+
+    Source: Toksvig 2005, "Mipmapping Normal Maps".
+    """
     planes = torch.cat((texels[:, :7].clamp(0, 1), texels[:, 7:]), dim=1).reshape(side, side, -1)
+    roughness = (planes[..., 6:7] ** 4 + 2 * lost.reshape(side, side, 1)) ** 0.25
     return SVBRDF("roughconductor", {
         "diffuse": color.decode(planes[..., :3]), "specular": color.decode(planes[..., 3:6]),
-        "roughness": planes[..., 6:7].contiguous(), "normal": F.normalize(planes[..., 7:], dim=-1)})
+        "roughness": roughness.clamp(0, 1), "normal": F.normalize(planes[..., 7:], dim=-1)})

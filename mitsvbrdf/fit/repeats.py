@@ -10,7 +10,10 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from ..capture import Capture
-from ..views import half_angles
+from ..color import to_display
+from ..material.maps import SVBRDF
+from ..render import Renderer
+from ..views import Views, half_angles
 
 # The test: rings of equal half angle, and blocks of the photo a side; how much of the variance of ranks lies
 # between blocks, and by how much of their lightness blocks differ, where the pattern is as large as they are.
@@ -27,12 +30,14 @@ class Repeats(NamedTuple):
         between: how much of the variance of its ranks lies between sixteenths of the photo, 0 to 1.
         contrast: by how much of their lightness these differ.
         asked: whether the user says so, and not the photo.
+        refuted: whether its looks, laid elsewhere, resemble the photo less than a fit without them.
     """
 
     stationary: bool
     between: float
     contrast: float
     asked: bool
+    refuted: bool = False
 
     def said(self) -> str:
         """What is said of it."""
@@ -43,6 +48,8 @@ class Repeats(NamedTuple):
         if self.stationary:
             return (f"one photo, taken for that of a material that repeats itself: {found}; specular, "
                     "roughness and normals are those of its looks, hardly any texel's own")
+        if self.refuted:
+            found += "; but a few looks, laid elsewhere, resemble the photo less than maps without them"
         return f"one photo, not taken for that of a material that repeats itself: {found}; {HARDLY_TOLD}"
 
 
@@ -73,3 +80,20 @@ def _uneven(capture: Capture, shift: Tensor) -> tuple[float, float]:
         beside[ring] = light[ring] / light[ring].median().clamp_min(1e-6) - 1
     share, differ = (F.adaptive_avg_pool2d(plane.reshape(1, side, side), BLOCKS) for plane in (rank, beside))
     return 12 * float((share - 0.5).square().mean()), float(differ.std())
+
+
+def unlike(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Renderer) -> float:
+    """By how much a photo of the maps, laid half a side on, differs from the photo: RMSE in display values.
+
+    Compared are sorted pixels of rings of equal half angle. A stationary material looks alike in both, and
+    highlights that are burnt into maps stand at a wrong place.
+    """
+    side, photo = capture.resolution, capture.photos[0].flatten(0, 1)
+    rings = half_angles(views, side)[0].flatten().argsort().tensor_split(RINGS)
+    errors = []
+    for on in ((side // 2, 0), (0, side // 2), (side // 2, side // 2)):
+        laid = SVBRDF(svbrdf.bsdf, {name: value.roll(on, (0, 1)) for name, value in svbrdf.maps.items()})
+        with torch.no_grad():
+            seen = to_display(renderer.render(laid, views), capture.transfer)[0].clamp(0, 1).flatten(0, 1)
+        errors += [(seen[ring].sort(dim=0)[0] - photo[ring].sort(dim=0)[0]).square().sum() for ring in rings]
+    return float((torch.stack(errors).sum() / (3 * photo.numel())).sqrt())

@@ -7,10 +7,11 @@ import pytest
 import torch
 
 from mitsvbrdf.capture import Capture
+from mitsvbrdf.color import to_display
 from mitsvbrdf.fit import DirectConfig, FitTask, HierarchicalConfig, fit_svbrdf, make_method
-from mitsvbrdf.fit.look_classes import LookClasses, Pixels
+from mitsvbrdf.fit.look_classes import LookClasses, Pixels, Posterior, material
 from mitsvbrdf.fit.one_photo import OnePhoto, nodes
-from mitsvbrdf.fit.repeats import repeats
+from mitsvbrdf.fit.repeats import repeats, unlike
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.measure.metrics import map_rmse
 from mitsvbrdf.render import make_renderer
@@ -145,3 +146,42 @@ def test_place_and_height_of_the_flash_come_from_the_photo():
     assert repeats(alone).stationary and not repeats(alone.but(calibration="given")).stationary
     found = fit_svbrdf(alone, make_renderer("analytic"), HierarchicalConfig()).views.camera[0]
     assert (found - seen.camera[0]).abs().max() < 0.05  # begins 0.17 too high, above the middle
+
+
+def test_maps_laid_elsewhere_are_compared_with_the_photo():
+    """Equal texels give the photo again; of half the albedo, each pixel is 0.5^(1/2.2) of it."""
+    renderer, matt = make_renderer("analytic"), flat(32, specular=0.0)
+    grey, dim = (type(matt)("roughconductor", dict(matt.maps) | {"diffuse": torch.full((32, 32, 3), level)})
+                 for level in (0.4, 0.2))
+    photo = Capture(to_display(renderer.render(grey, VIEW), "gamma2.2"), VIEW, "gamma2.2")
+    assert unlike(grey, VIEW, photo, renderer) < 1e-6
+    less = (1 - 0.5 ** (1 / 2.2)) * float(photo.photos.square().mean().sqrt())
+    assert unlike(dim, VIEW, photo, renderer) == pytest.approx(less, rel=1e-4)
+
+
+def test_lobes_take_the_slopes_that_means_lack():
+    """Of a pixel that tells nothing, they are those of its class; a lobe of alpha 0.09 and they make 0.17."""
+    classes = LookClasses(LookClasses.start(torch.full((5, 3), 0.5), 0.3, 0.04, [0.1] * 5), VIEW, True)
+    slopes = 0.1 * nodes(4, 64, 0)[:, None, :, :2].expand(4, 5, 64, 2)
+    found = Posterior(torch.zeros(4, 5, 64), slopes, torch.full((4, 5, 64), 0.3), torch.zeros(4, 5, 64, 3))
+    lost = classes.lost(found)
+    assert lost == pytest.approx(torch.full((4,), 0.01), rel=0.1)
+    roughness = material(classes.texels(found, classes.specular), lost, 2)["roughness"]
+    assert roughness.square() == pytest.approx(torch.full((2, 2, 1), (0.09**2 + 0.02) ** 0.5), rel=0.05)
+
+
+def test_looks_that_do_not_resemble_the_photo_give_way_to_a_fit_without(monkeypatch):
+    monkeypatch.setattr("mitsvbrdf.fit.one_photo.TRIED", 1)
+    monkeypatch.setattr("mitsvbrdf.fit.one_photo.STEPS", 10)
+    monkeypatch.setattr("mitsvbrdf.fit.one_photo.LOOKS", ((0.4, 0.04),))
+    monkeypatch.setattr("mitsvbrdf.fit.one_photo.METALS", ())
+    misses = iter([0.3, 0.29, 0.28, 0.2, 0.1])  # looks three times, the guess, and the fit without looks
+    monkeypatch.setattr("mitsvbrdf.fit.one_photo.unlike", lambda *given: next(misses))
+    photo = photo_of(0.2 + 0.3 * torch.rand(32, 32, generator=torch.Generator().manual_seed(0)))
+    found = fit_svbrdf(photo, make_renderer("analytic"), HierarchicalConfig())
+    other = fit_svbrdf(photo, make_renderer("analytic"), HierarchicalConfig(stationary=False))
+    for name, value in other.svbrdf.maps.items():
+        assert torch.equal(value, found.svbrdf[name])
+    assert found.record["repeats"]["refuted"] and not found.record["repeats"]["stationary"]
+    assert found.omitted == other.omitted and next(misses, None) is None
+    assert sum("one photo" in warning for warning in found.warnings) == 1
