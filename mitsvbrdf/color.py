@@ -7,8 +7,9 @@ Renderers never encode or clip. Photos, files and losses come here. A new respon
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast, get_args
 
 from .errors import ConfigError
 
@@ -20,7 +21,9 @@ CLIPPED = 0.995  # in fits, whose residuals are one-sided from here on: 254 and 
 NEARLY_CLIPPED = 0.99  # before fits (guess, flash, quality), where omitted texels cost little: 253 too
 QUANTIZATION_NOISE = 1 / (255 * math.sqrt(12))  # standard deviation of the rounding to 8 bits
 
+# a fit may find a curve behind it (:class:`Curve`)
 Transfer = Literal["gamma2.2", "srgb", "linear"]
+CURVE = re.compile(r"[^,]+, gamma (\d+\.\d+), shoulder (-?\d+\.\d+)")
 
 # A line replaces the power curve below this linear value, because the slope of the curve at 0 is infinite.
 # 2e-6 is 2/3 of one 8-bit step under gamma 2.2, so no photo value changes.
@@ -72,15 +75,55 @@ RESPONSES: dict[str, Response] = {
 }
 
 
-def response(transfer: Transfer) -> Response:
-    """The response of this name; ConfigError where there is none."""
-    if transfer not in get_args(Transfer):
+class Curve(NamedTuple):
+    """What a camera does to display values beside its response, by two numbers; 0 stays 0, and 1 stays 1.
+
+    u = d^gamma goes to (1 + shoulder) u / (1 + shoulder u). Numbers, or arrays of Dr.Jit.
+    """
+
+    gamma: Any
+    shoulder: Any
+
+    def bent(self, display: Any, do: Operations) -> Any:
+        """Display values as the camera stores them."""
+        low = TOE ** (1 / 2.2)  # a line below, as in the response
+        power = do.where(display <= low, display * low ** (self.gamma - 1),
+                         do.at_least(display, low) ** self.gamma)
+        return (1 + self.shoulder) * power / (1 + self.shoulder * power)
+
+    def straight(self, stored: Any, do: Operations) -> Any:
+        """The inverse."""
+        low = TOE ** (1 / 2.2)
+        power = stored / (1 + self.shoulder - self.shoulder * stored)
+        return do.where(power <= low**self.gamma, power * low ** (1 - self.gamma),
+                        do.at_least(power, low**self.gamma) ** (1 / self.gamma))
+
+    def behind(self, transfer: Transfer) -> Transfer:
+        """A transfer function with this curve behind its response: "srgb, gamma 1.0800, shoulder 0.1200"."""
+        return cast(Transfer, f"{parts(transfer)[0]}, gamma {self.gamma:.4f}, shoulder {self.shoulder:.4f}")
+
+
+def parts(transfer: str) -> tuple[Transfer, Curve | None]:
+    """The response of a transfer function, and the curve behind it; ConfigError where it is none."""
+    name, found = transfer.split(",")[0], CURVE.fullmatch(transfer)
+    if name not in RESPONSES or not found and name != transfer:
         raise ConfigError(f"a transfer function of {get_args(Transfer)}", repr(transfer),
                           "choose one of these")
-    return RESPONSES[transfer]
+    return cast(Transfer, name), Curve(*map(float, found.groups())) if found else None
 
 
-def _torch() -> Operations:
+def response(transfer: Transfer) -> Response:
+    """The response of this name, with its curve; ConfigError where there is none."""
+    name, curve = parts(transfer)
+    plain = RESPONSES[name]
+    if curve is None:
+        return plain
+    return Response(lambda linear, do: curve.bent(plain.encode(linear, do), do),
+                    lambda display, do: plain.decode(curve.straight(display, do), do))
+
+
+def of_torch() -> Operations:
+    """The operations of torch."""
     import torch
 
     return Operations(torch.where, torch.clamp_min)
@@ -95,7 +138,7 @@ def encode(linear: Tensor, transfer: Transfer = "gamma2.2") -> Tensor:
     Returns:
         Display values of the same shape; 1 maps to 1. :func:`clip` limits them as a photo does.
     """
-    return response(transfer).encode(linear, _torch())
+    return response(transfer).encode(linear, of_torch())
 
 
 def decode(display: Tensor, transfer: Transfer = "gamma2.2") -> Tensor:
@@ -104,7 +147,7 @@ def decode(display: Tensor, transfer: Transfer = "gamma2.2") -> Tensor:
     Args:
         display: any shape, any float dtype.
     """
-    return response(transfer).decode(display, _torch())
+    return response(transfer).decode(display, of_torch())
 
 
 def shown(stored: Tensor) -> Tensor:

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, cast, get_args
+from typing import Any, Literal, cast
 
 import torch
 from torch import Tensor
@@ -128,9 +128,7 @@ class Capture:
 
     def __post_init__(self) -> None:
         check_fields(self, "views", "transfer", "calibration", "source")
-        if self.transfer not in get_args(color.Transfer):
-            raise ConfigError(f"a transfer function of {get_args(color.Transfer)}", repr(self.transfer),
-                              "choose one of these")
+        color.parts(self.transfer)
         if len(self) != len(self.views):
             raise CaptureError(f"a view for each of {len(self)} photos",
                                f"{len(self.views)} views", "give one row of calibration a photo")

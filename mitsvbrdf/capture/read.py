@@ -6,7 +6,6 @@ from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import get_args
 
 import numpy as np
 import torch
@@ -84,9 +83,8 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
     path = Path(folder)
     if resolution is not None and resolution < LEAST_SIDE:
         raise ConfigError(f"a resolution of {LEAST_SIDE} or more", str(resolution), "choose a larger one")
-    if transfer is not None and transfer not in get_args(color.Transfer):
-        raise ConfigError(f"a transfer function of {get_args(color.Transfer)}", repr(transfer),
-                          "choose one of these")
+    if transfer is not None:
+        color.parts(transfer)
     if path.is_file() and path.suffix.lower() == ".json":
         capture = from_json(path, falloff, resolution)
     elif path.is_file() and path.suffix.lower() in SUFFIXES:

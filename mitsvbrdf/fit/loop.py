@@ -154,7 +154,7 @@ class Loop:
                 if not finite(value):
                     return f"{name} not finite"
             sample = None if whole else self.method.glimpse()
-            svbrdf, views, capture = sample or (*self.method.estimate(), self.capture)
+            svbrdf, views, capture = sample or (*self.method.estimate(), self.method.capture)
             self.whole = sample is None
             try:
                 rmse, _ = rerender_errors(self.renderer, svbrdf, views, capture)

@@ -1,9 +1,10 @@
 """``fit.json`` as it is read back: the kinds of its fields, and what is missing or wrong."""
 
 from pathlib import Path
-from typing import Any, Generic, TypeVar, get_args
+from typing import Any, Generic, TypeVar
 
 from .. import color
+from ..errors import ConfigError
 from ..io.json import NUMBER, load, shape_error
 from ..material.maps import CHANNELS
 
@@ -82,8 +83,10 @@ def checked(record: dict) -> dict:
                       and name not in _KNOWN}
     if wrong := shape_error(record, shape):
         raise ValueError(wrong)
-    if record["capture"]["transfer"] not in get_args(color.Transfer):
-        raise ValueError("unknown transfer")
+    try:
+        color.parts(record["capture"]["transfer"])
+    except ConfigError:
+        raise ValueError("unknown transfer") from None
     if record.get("bsdf", "roughconductor") not in CHANNELS:
         raise ValueError("unknown bsdf")
     return record

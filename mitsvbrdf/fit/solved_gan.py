@@ -110,6 +110,7 @@ class SolvedGan(Method[GanConfig]):
         self.began, answer = min(progress, 0.99), solver.estimate()
         if self.stage == 0:
             self.answer = answer
+            self._see_as_solved()
             self.stage = 1 if len(self.capture) >= FEWEST else ENDED
             if self.stage == 1:
                 self.solvers.append(self._solver(self.without))
@@ -119,6 +120,12 @@ class SolvedGan(Method[GanConfig]):
             with profiled("uncertainty"):
                 spread = deviations(*answer, solver.task, solver.scales.basis)[0]
             self._begin_game(Bounded.of(*answer, spread, DetailConfig.reach, DetailConfig.certain))
+
+    def _see_as_solved(self) -> None:
+        """Let photos have the response curve that the first solver found."""
+        self.capture = self.solvers[0].capture
+        masked = self.without.capture.but(transfer=self.capture.transfer)
+        self.without = replace(self.without, capture=masked)
 
     def _begin_game(self, bounded: Bounded) -> None:
         self.stage = GAME
@@ -216,10 +223,12 @@ class SolvedGan(Method[GanConfig]):
         self.stage, self.steps = (int(value) for value in state["at"][:2])
         self.began, self.gain = state["at"][2:].tolist()
         self.solvers = self.solvers[:1]
+        self.solvers[0].load_state(part(state, "solver0."))
+        if self.stage:
+            self._see_as_solved()
         if part(state, "solver1."):
             self.solvers.append(self._solver(self.without))
-        for number, solver in enumerate(self.solvers):
-            solver.load_state(part(state, f"solver{number}."))
+            self.solvers[1].load_state(part(state, "solver1."))
         self.answer = self._answer(part(state, "answer.")) if self.stage else None
         self.kept, self.game = part(state, "kept."), None
         if self.stage == GAME:

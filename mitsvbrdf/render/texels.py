@@ -14,7 +14,7 @@ import weakref
 from collections.abc import Callable
 from dataclasses import replace
 from types import ModuleType
-from typing import Any
+from typing import Any, SupportsFloat
 
 import torch
 from torch import Tensor
@@ -217,3 +217,11 @@ def row(mi: ModuleType, array: Any, k: Any) -> Any:
 
     return dr.float64_array_t(mi.Vector3f)(
         *(dr.gather(dr.float64_array_t(mi.Float), array, mi.UInt32(3 * k + axis)) for axis in range(3)))
+
+
+def opaque(mi: ModuleType, value: SupportsFloat) -> Any:
+    """A number that may change without a new kernel."""
+    import drjit as dr
+
+    return dr.opaque(mi.UInt32 if isinstance(value, int) else mi.Float, value if isinstance(value, int)
+                     else float(value))

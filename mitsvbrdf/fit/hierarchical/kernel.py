@@ -49,8 +49,8 @@ class Kernel:
     :class:`~mitsvbrdf.fit.hierarchical.solver.TexelSolver`. Their ``problem`` has the Dr.Jit arrays
     ``photos`` (of the tile), ``texels`` (their places, row by row), ``side`` (of the material, in texels),
     ``views`` (cameras, lights, intensities), ``count`` (of the views), ``weight`` (1 / noise^2) and ``fixed``
-    (maps of the tile), and where they are asked for ``scale`` (of the robust cost) and ``weights`` (of the
-    tile's pixels).
+    (maps of the tile), and where they are asked for ``scale`` (of the robust cost), ``weights`` (of the
+    tile's pixels) and ``curve`` (behind the response).
 
     Args:
         mi: the ``mitsuba`` module with the variant to use.
@@ -198,6 +198,8 @@ class Texels:
         dr.enable_grad(free, directions)
         kernel.shader.hold(self.maps | free)
         shown = traced_encode(kernel.shader.eval(*directions) * irradiance, kernel.transfer)
+        if "curve" in self.problem:
+            shown = color.Curve(*self.problem["curve"]).bent(shown, traced())
         seeds = [[(free[name], 1)] if name in free else
                  [(d, turned(dr.detach(d), *self.turns[axis])) for d in directions]
                  for name, axis, _ in kernel.columns]
@@ -284,8 +286,13 @@ def traced_decode(value: Any) -> tuple:
             dr.select(value <= toe, color.TOE / toe, 2.2 * power))
 
 
-def traced_encode(linear: Any, transfer: color.Transfer) -> Any:
-    """:func:`mitsvbrdf.color.encode`."""
+def traced() -> color.Operations:
+    """The operations of Dr.Jit."""
     import drjit as dr
 
-    return color.response(transfer).encode(linear, color.Operations(dr.select, dr.maximum))
+    return color.Operations(dr.select, dr.maximum)
+
+
+def traced_encode(linear: Any, transfer: color.Transfer) -> Any:
+    """:func:`mitsvbrdf.color.encode`."""
+    return color.response(transfer).encode(linear, traced())

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import torch
 from torch import Tensor
 
+from ... import color
+from ...capture import Capture
 from ...io.profile import profiled
+from ...render import Renderer
+from . import response_curve
 from .cross_validation import AGREED, NOISES, in_turn, least_as_good, prediction_errors, steps_of_turns
 from .observations import ROBUST_END, ObservationModel
 from .scales import Scale
@@ -29,6 +34,7 @@ class RealPhotos:
     def __init__(self, search: Search, seen: ObservationModel) -> None:
         (self.scales, self.prior), self.seen = search, seen
         self.photos = len(self.scales.of(Stage.ALONE).capture)
+        self.curve: color.Curve | None = None  # that the photos were found to ask for
         self.closed: TexelEstimate | None = None  # what the present answer ends in, once it was asked for
 
     def next_prior(self, scale: Scale, photos: Observations, answer: TexelEstimate) -> TexelEstimate:
@@ -42,31 +48,72 @@ class RealPhotos:
     @property
     def may_learn(self) -> bool:
         """Whether there is time to learn how far to believe the photos."""
-        turns = steps_of_turns(self.photos) * self.scales.of(Stage.ALONE).texels
-        return self.seen.budget.in_time(turns, beside=ROUND_STEPS - STEPS)
+        anew = response_curve.WORK + len(in_turn(self.photos)) * AGREED * (STEPS + 1)  # through a curve
+        steps = steps_of_turns(self.photos) + anew
+        return self.seen.budget.in_time(steps * self.scales.of(Stage.ALONE).texels,
+                                        beside=ROUND_STEPS - STEPS)
 
     def at_full_size(self, answer: TexelEstimate, scale: Scale) -> tuple[Scale, TexelEstimate]:
         """A tied answer enlarged; texels are free to leave it."""
         fine = self.scales.of(Stage.FINE, free=True)
         return fine, self.prior.enlarge(answer, scale, fine, tied=True)
 
-    def learn_noise(self, tied: TexelEstimate, scale: Scale, hurried: bool) -> None:
-        """Learn the noise at full size, by which each photo is predicted well from the others, if in time."""
-        turns = in_turn(self.photos)
-        if hurried or self.seen.config.noise is not None or not turns:
-            return
-        with profiled("noise"):
-            self.seen.stages.believe(self._noise(tied, scale, turns))
+    def learn(self, tied: TexelEstimate, scale: Scale, hurried: bool,
+              renderer: Renderer) -> tuple[Scale, TexelEstimate]:
+        """Learn the response curve, and the noise at full size, by which photos predict each other well.
 
-    def _noise(self, tied: TexelEstimate, scale: Scale, turns: range) -> float:
-        sharp = self.scales.of(Stage.ALONE)
-        starts, every = dict[int, TexelEstimate](), self.seen.observations(scale, tied)
-        for photo in turns:
+        Returns:
+            The photos through the curve that they ask for, if any, and their answer.
+        """
+        if hurried or not in_turn(self.photos):
+            return scale, tied
+        with profiled("noise"):
+            held_out, found = self._held_out(tied, scale), None
+            if color.parts(scale.capture.transfer)[1] is None:
+                found = response_curve.curved(scale, tied, self.seen.observations, self.prior,
+                                              self.next_prior, renderer)
+            if found:
+                other = self._held_out(found[1], found[0])
+                errors = torch.stack([self._errors(each, at) for each, at in
+                                      ((held_out, scale), (other, found[0]))])
+                if least_as_good(errors) == 1:
+                    (scale, tied), held_out = found, other
+                    self.curve = color.parts(scale.capture.transfer)[1]
+                    self.scales.see_through(scale.capture.transfer)
+            if self.seen.config.noise is None:
+                self.seen.stages.believe(self._noise(tied, scale, held_out))
+        return scale, tied
+
+    def seen_through(self, capture: Capture) -> Capture:
+        """Photos through the curve that they ask for, with a note on it; as they are where there is none."""
+        if self.curve is None or capture.transfer == self.curve.behind(capture.transfer):
+            return capture
+        told = (f"photos held out are predicted better through a response curve, which the fit uses: gamma "
+                f"{self.curve.gamma:.2f} and shoulder {self.curve.shoulder:.2f} behind {capture.transfer}")
+        return capture.but(transfer=self.curve.behind(capture.transfer), notes=(*capture.notes, told))
+
+    def _held_out(self, tied: TexelEstimate, scale: Scale) -> dict[int, TexelEstimate]:
+        """The answer that each photo is predicted with, from all others."""
+        found, every = dict[int, TexelEstimate](), self.seen.observations(scale, tied)
+        for photo in in_turn(self.photos):
             others, answer = every.without(photo), tied
             for _ in range(AGREED):
                 answer = self.next_prior(scale, others, answer._replace(
                     x=stepped(scale.solver, others, answer, self.prior, STEPS).x))
-            starts[photo] = self.prior.enlarge(answer, scale, sharp, tied=True)
+            found[photo] = answer
+        return found
+
+    def _errors(self, held_out: dict[int, TexelEstimate], scale: Scale) -> Tensor:
+        """Mean squared errors of the photos' display values, each predicted from all others."""
+        every = replace(self.seen.observations(scale, next(iter(held_out.values()))), noise=1.0, robust=None,
+                        weights=scale.capture.measured)
+        return torch.stack([scale.solver.normal_equations(every.pick([photo]), answer.x)[0].mean()
+                            for photo, answer in held_out.items()])
+
+    def _noise(self, tied: TexelEstimate, scale: Scale, held_out: dict[int, TexelEstimate]) -> float:
+        sharp = self.scales.of(Stage.ALONE)
+        starts = {photo: self.prior.enlarge(answer, scale, sharp, tied=True)
+                  for photo, answer in held_out.items()}
         photos = replace(self.seen.observations(sharp, tied), robust=ROBUST_END * NOISE, noise=NOISE,
                          weights=sharp.capture.measured)
         return NOISES[least_as_good(prediction_errors(photos, sharp.solver, self.prior, starts, NOISES))]
@@ -98,3 +145,13 @@ class RealPhotos:
             answer = self.closed
         self.closed = answer._replace(x=seen.stepped(scale, answer, prior, steps).x) if steps else answer
         return self.closed.x
+
+    def state(self) -> dict[str, Tensor]:
+        """The curve."""
+        return {"curve": torch.tensor(self.curve or (), dtype=torch.float64)}
+
+    def load_state(self, state: dict[str, Tensor]) -> None:
+        """Go on from a saved state."""
+        if values := state["curve"].tolist():
+            self.curve = color.Curve(*values)
+            self.scales.see_through(self.curve.behind(self.scales.of(Stage.FINE).capture.transfer))

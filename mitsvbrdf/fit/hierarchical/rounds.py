@@ -134,7 +134,8 @@ class Hierarchical(Method[HierarchicalConfig]):
         if stage == Stage.FINE:
             if self.stages.tied:
                 hurried = hurried or not self.real.may_learn
-                self.real.learn_noise(self.answer, self.scale, hurried)
+                self.scale, self.answer = self.real.learn(self.answer, self.scale, hurried, self.engine)
+                self.capture = self.real.seen_through(self.capture)
             self.scale, self.answer = self.photos.at_full_size(self.answer, self.scale)
         self.stages.enter(stage, hurried)
 
@@ -232,7 +233,8 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def state(self) -> dict[str, Tensor]:
         """The states of its parts."""
-        parts = *(part.state() for part in (self.stages, self.corrections, self.exact, self.budget)),
+        parts = *(part.state() for part in (self.stages, self.corrections, self.exact, self.real,
+                                            self.budget)),
         copies = {name: value.clone() for part in parts for name, value in part.items()}
         # nothing writes into the planes of an answer, which are large
         return self.answer._asdict() | {"precision": self.answer.once()} | copies
@@ -242,8 +244,9 @@ class Hierarchical(Method[HierarchicalConfig]):
         planes = {name: state[name] for name in TexelEstimate._fields}
         self.answer = TexelEstimate(**planes | {"precision": state["precision"].expand_as(state["x"])})
         self.real.closed = None
-        for part in (self.stages, self.corrections, self.budget):
+        for part in (self.stages, self.corrections, self.real, self.budget):
             part.load_state(state)
+        self.capture = self.real.seen_through(self.capture)
         stage = self.stages.stage
         self.scale = self.scales.of(stage, free=self.stages.tied and stage == Stage.FINE)
         self.exact.load_state(state, self.scale)

@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from ...capture import Capture
+from ...color import Transfer
 from ...material.resample import area_averaged, sampled
 from ...views import STRIP
 from ..config import HierarchicalConfig
@@ -88,6 +89,10 @@ class Scales:
         guess = area_averaged(self.guess, capture.resolution)
         return Scale(capture, guess, self.solver(capture.resolution), self.basis, self.config.similarity,
                      free)
+
+    def see_through(self, transfer: Transfer) -> None:
+        """Let the photos have another transfer function."""
+        self.captures = {stage: capture.but(transfer=transfer) for stage, capture in self.captures.items()}
 
     def holding(self, **maps: Tensor) -> Scales:
         """The same photos with further maps held fixed, at full size."""

@@ -11,8 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from types import ModuleType
-from typing import Any, SupportsFloat
 
 import torch
 import torch.nn.functional as F
@@ -24,7 +22,7 @@ from ...render.bsdf import needed_maps
 from ...render.exclusive import Kept, using_mitsuba
 from ...render.needs import Needs, scene_needs
 from ...render.plugins import register
-from ...render.texels import from_torch, to_torch
+from ...render.texels import from_torch, opaque, to_torch
 from ...views import Views
 from ..fixed_maps import unknown_but
 from .kernel import Kernel, tile_rows, tiles
@@ -271,13 +269,16 @@ class TexelSolver:
                    "weight": opaque(mi, observations.noise**-2.0),
                    "views": [from_torch(mi, v) for v in (views.camera, views.light, views.intensity)],
                    "fixed": {name: value.permute(2, 0, 1) for name, value in fixed.items()}}
+        if curve := color.parts(observations.transfer)[1]:
+            problem["curve"] = [opaque(mi, v) for v in curve]
         if observations.robust is not None:
             problem["scale"] = opaque(mi, float(observations.robust))
         return problem
 
     def _kernel(self, observations: Observations, x: Tensor) -> Kernel:
         needs, _ = self._known(observations.views, observations.side)
-        key = needs, tile_rows(x.shape[-1]) * x.shape[-1], observations.views.falloff, observations.transfer
+        plain, texels = color.parts(observations.transfer)[0], tile_rows(x.shape[-1]) * x.shape[-1]
+        key = needs, texels, observations.views.falloff, plain
         if key not in self._kernels:
             self._kernels[key] = Kept(Kernel(self.mi, self.bsdf, self.unknowns, *key))
         return self._kernels[key].content
@@ -290,11 +291,3 @@ def apart(values: Sequence[Tensor]) -> list[Tensor]:
     """
     places = [value.data_ptr() for value in values]
     return [value.clone() if places[k] in places[:k] else value for k, value in enumerate(values)]
-
-
-def opaque(mi: ModuleType, value: SupportsFloat) -> Any:
-    """A number that may change without a new kernel."""
-    import drjit as dr
-
-    return dr.opaque(mi.UInt32 if isinstance(value, int) else mi.Float, value if isinstance(value, int)
-                     else float(value))

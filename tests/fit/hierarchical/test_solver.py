@@ -64,6 +64,7 @@ CASES = {"all free": Case, "apart": lambda: Case(views=APART, transfer="srgb"),
     "grey, robust": lambda: Case(grey=True, robust=0.05),
     "weighted": lambda: Case(weighted=True, views=APART),
     "held normal": lambda: Case(held=("normal", "roughness"), views=APART),
+    "through a curve": lambda: Case(transfer="srgb, gamma 1.5000, shoulder 0.8000", robust=0.05),
     "held colours": lambda: Case(held=("diffuse", "specular")), "principled": lambda: Case("principled"),
     "principled apart": lambda: Case("principled", views=APART, robust=0.1),
     "principled held": lambda: Case("principled", held=("metallic",), weighted=True),}

@@ -1,0 +1,126 @@
+"""The response curve of real photos: a joint step against float64, and fits of photos through a known one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import pytest
+import torch
+from helpers import ANALYTIC, GRID, MITSUBA, TWIN, photos_of
+from helpers.hierarchical_fits import method_of
+
+from mitsvbrdf import color
+from mitsvbrdf.color import Curve, of_torch
+from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.evaluate import as_fitted
+from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf
+from mitsvbrdf.fit.hierarchical import response_curve
+from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
+from mitsvbrdf.fit.hierarchical.stages import Stage
+from mitsvbrdf.fit.hierarchical.texel_prior import TexelEstimate
+from mitsvbrdf.material.made import make_material
+
+SIDE, TRUE = 32, Curve(2.0, 0.5)
+
+
+def test_a_curve_and_its_inverse():
+    curve, do = Curve(2.0, 1.0), of_torch()
+    assert curve.bent(torch.tensor(0.5), do) == pytest.approx(2 * 0.25 / 1.25)
+    display = torch.linspace(0, 1, 1001, dtype=torch.float64)
+    for curve in (Curve(2.0, 1.0), Curve(0.5, -0.6), Curve(3.3, 5.0)):
+        bent = curve.bent(display, do)
+        assert bent[0] == 0 and bent[-1] == pytest.approx(1, abs=1e-15) and (bent.diff() > 0).all()
+        # near 0 a power of 3.3 leaves few digits
+        torch.testing.assert_close(curve.straight(bent, do), display, rtol=1e-9, atol=1e-9)
+
+
+def test_transfer_functions_with_a_curve():
+    bent = TRUE.behind("srgb")
+    assert color.parts(bent) == ("srgb", TRUE) and TRUE.behind(bent) == bent
+    linear = torch.linspace(0.001, 1, 100, dtype=torch.float64)
+    torch.testing.assert_close(color.decode(color.encode(linear, bent), bent), linear, rtol=1e-9, atol=1e-9)
+    for wrong in ("srgb, gamma 1.5", "srgb, gamma -1.5000, shoulder 0.8000", "film, gamma 1.5, shoulder 0.8",
+                  "srgb,", "srgb, gamma nan, shoulder 0.8"):
+        with pytest.raises(ConfigError, match="transfer function"):
+            color.encode(linear, wrong)
+
+
+def test_a_step_is_that_of_all_numbers_at_once():
+    """The dense system of the curve and all texels, by autograd in float64."""
+    curve, noise, robust = Curve(1.3, 0.4), 0.02, 0.06
+    solver, views = TexelSolver("roughconductor"), GRID.pick([0, 4, 8])
+    random = torch.Generator().manual_seed(5)
+    truth = photos_of(make_material("leather", 9), views).photos[:, ::3, ::3].contiguous()
+    x = solver.numbers(make_material("leather", 9))[:, ::3, ::3].contiguous()
+    x = (x + 0.05 * torch.rand(x.shape, generator=random)).clamp(0.1, 0.9)
+    mean, precision = x + 0.02, 20 + 100 * torch.rand(x.shape, generator=random)
+    photos = Observations(truth, views, curve.behind("gamma2.2"), noise, robust)
+    scale = SimpleNamespace(solver=solver)
+    answer = TexelEstimate(x, mean, precision, torch.zeros(0))
+    found = response_curve._step(curve, scale, answer, photos, MITSUBA)
+
+    def shown(at, numbers):
+        images = TWIN.render(solver.svbrdf(numbers.reshape(x.shape)), views)
+        return Curve(at[0], at[1]).bent(color.encode(images), of_torch())
+
+    at, numbers = torch.tensor(curve, dtype=torch.float64), x.double().flatten()
+    error = shown(at, numbers) - truth
+    weight = torch.where((truth >= color.CLIPPED) & (error > 0), 0.0, (1 + (error / robust)**2)**-0.5)
+    weight = (weight.amin(dim=-1, keepdim=True).expand_as(error) / noise**2).flatten()
+    rows = torch.cat([j.reshape(error.numel(), -1) for j in
+                      torch.autograd.functional.jacobian(shown, (at, numbers))], dim=1)
+    prior = torch.cat((torch.full((2,), response_curve.VAGUE), precision.flatten())).double()
+    pull = torch.cat((torch.zeros(2), (precision * (x - mean)).flatten()))
+    step = torch.linalg.solve(rows.T @ (weight[:, None] * rows) + torch.diag(prior),
+                              -(rows.T @ (weight * error.flatten()) + pull))[:2]
+    assert step.abs().min() > 0.01 and step.abs().max() < response_curve.LONGEST
+    # measured: 2e-5, by LEAST_PRECISION and float32
+    torch.testing.assert_close(found, step, rtol=0, atol=1e-3)
+
+
+def through(curve: Curve | None):
+    """Photos of a material by a phone with this curve."""
+    shots = photos_of(make_material("inlay", SIDE), noise=0.003)
+    if curve is None:
+        return shots
+    stored = color.to_display(ANALYTIC.render(make_material("inlay", SIDE), GRID), curve.behind("gamma2.2"))
+    grain = 0.003 * torch.randn(stored.shape, generator=torch.Generator().manual_seed(0))
+    return replace(shots, photos=((stored + grain).clamp(0, 1) * 255).round() / 255)
+
+
+@pytest.fixture(scope="module")
+def bent():
+    shots = through(TRUE)
+    return shots, fit_svbrdf(shots, MITSUBA, HierarchicalConfig(exact=False, budget=600))
+
+
+def test_a_curve_is_found_told_and_used(bent):
+    shots, fit = bent
+    _, found = color.parts(fit.transfer)
+    display = torch.linspace(0.05, 1, 100)
+    off = found.bent(display, of_torch()) - TRUE.bent(display, of_torch())
+    plain = display - TRUE.bent(display, of_torch())
+    assert off.abs().max() < plain.abs().max() / 3
+    assert any("response curve" in told for told in fit.warnings)
+    assert fit.transfer == fit.record["capture"]["transfer"] == as_fitted(fit, shots)[0].transfer
+    images = TWIN.render(fit.svbrdf, fit.views)
+    error = color.to_display(images, fit.transfer) - shots.photos
+    assert error.square().mean().sqrt() == pytest.approx(fit.rerender_rmse, rel=1e-4)
+
+
+def test_photos_without_a_curve_get_none():
+    fit = fit_svbrdf(through(None), MITSUBA, HierarchicalConfig(exact=False, budget=600))
+    assert fit.transfer == "gamma2.2" and not any("response curve" in told for told in fit.warnings)
+
+
+def test_a_resumed_fit_has_the_curve(bent):
+    method, again = (method_of(bent[0], exact=False) for _ in range(2))
+    while method.stages.stage != Stage.FINE:
+        method.step(0.0)
+    assert method.capture.transfer == bent[1].transfer
+    again.load_state(method.state())
+    assert again.capture.transfer == again.scale.capture.transfer == method.capture.transfer
+    for each in (method, again):
+        each.step(0.0)
+    assert torch.equal(again.answer.x, method.answer.x)
