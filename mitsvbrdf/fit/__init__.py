@@ -58,7 +58,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
         loop.resume(resume)
     stopped = loop.run()
     method.end()
-    return diagnosed(loop, stopped, stated)
+    return diagnosed(task, loop, stopped, stated)
 
 
 @entry(gradients=True)

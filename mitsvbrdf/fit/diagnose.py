@@ -32,10 +32,10 @@ from .task import FitTask
 from .warnings import SAMPLED, fit_warnings
 
 
-def diagnosed(loop: Loop, stopped: str, notes: tuple[str, ...]) -> Fit:
+def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -> Fit:
     """The fit that a loop ended with; ``notes`` are those of the photos before views were estimated."""
-    method = loop.method.answering
-    task = replace(method.task, capture=method.capture)
+    method = loop.method
+    task = replace(task, capture=method.capture)
     capture, renderer, config = task.capture, task.renderer, task.config
     assert loop.best is not None
     _, svbrdf, views = loop.best

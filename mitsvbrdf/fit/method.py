@@ -30,7 +30,6 @@ class Method(ABC, Generic[Config]):
     """Whether the result is the last state, not the one that explains its photos best."""
 
     def __init__(self, task: FitTask[Config]) -> None:
-        self.task = task
         self.capture, self.renderer, self.config = task.capture, task.renderer, task.config
         self.views, self.fixed, self.unused = task.capture.views, task.fixed, task.unused
         self.fits_offset = task.why_no_flash_offset is None
@@ -62,11 +61,6 @@ class Method(ABC, Generic[Config]):
 
     def end(self) -> None:  # noqa: B027
         """Free what only further steps would need."""
-
-    @property
-    def answering(self) -> Method:
-        """The method whose answer it gives: its own, or that of one inside."""
-        return self
 
     @property
     def done(self) -> bool:

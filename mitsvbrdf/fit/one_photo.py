@@ -1,6 +1,6 @@
 """The fit of one photo of a material that repeats itself, by look classes.
 
-Its answer is checked by the photo: the maps, laid elsewhere, must resemble it (:func:`.repeats.unlike`).
+Its lobes are checked by the photo: the maps, laid elsewhere, must resemble it (:func:`.repeats.unlike`).
 """
 
 from __future__ import annotations
@@ -16,14 +16,12 @@ from .. import color
 from ..io.profile import profiled
 from ..material.maps import SVBRDF
 from ..views import Views
-from .checkpoint import load_optimizer_state, optimizer_state, part
+from .checkpoint import load_optimizer_state, optimizer_state
 from .config import HierarchicalConfig
-from .hierarchical import Hierarchical
 from .hierarchical.sharing import basis_materials
 from .look_classes import CLASSES, LookClasses, Pixels, material
 from .method import Method, cosine
 from .repeats import unlike
-from .solved_gan import named
 from .start import robust_start
 from .task import FitTask
 
@@ -57,9 +55,7 @@ def nodes(pixels: int, count: int, seed: int) -> Tensor:
 class OnePhoto(Method[HierarchicalConfig]):
     """Descends to the likeliest look classes: from each start, then from the best one.
 
-    A view that is not stated has its place and light power among the unknowns. Where the photo's diffuse
-    guess resembles the photo more, laid elsewhere, the photo is also fitted without looks, and the answer is
-    the one of both that resembles it more.
+    A view that is not stated has its place and light power among the unknowns.
 
     Args:
         task: one photo.
@@ -74,9 +70,6 @@ class OnePhoto(Method[HierarchicalConfig]):
         self.begun = robust_start(task.capture, task.guess, "roughconductor", task.fixed)
         self.starts = self._starts()
         self.done_steps, self.peak, self.best_cost = 0, RATES[1], math.inf
-        self.answer: tuple[SVBRDF, Views] = self.begun, self.views  # of the looks
-        self.without: Hierarchical | None = None
-        self.misses, self.better = math.inf, False  # of the answer; whether the one without looks is better
         self._descend_from(self.starts[0])
         self.best = self.numbers.detach().clone()
 
@@ -102,25 +95,11 @@ class OnePhoto(Method[HierarchicalConfig]):
 
     @property
     def done(self) -> bool:
-        """Whether the last descent has ended, and a fit without looks where there is one."""
-        return self.descended and (self.without is None or self.without.done)
-
-    @property
-    def descended(self) -> bool:
         """Whether the last descent has ended."""
         return self.done_steps >= len(self.starts) + STEPS // ITERATIONS
 
-    @property
-    def answering(self) -> Method:
-        """This, or the fit without looks where its answer is better."""
-        return self.without if self.without and self.better else self
-
     def step(self, progress: float) -> dict[str, float]:
-        """All descents from a start, or the next ones from the best; then rounds of a fit without looks."""
-        if self.without:
-            losses = self.without.step(progress)
-            self._compare()
-            return losses
+        """All descents from a start, or the next ones from the best."""
         last = self.done_steps - len(self.starts)
         with profiled("solver"):
             if last < 0:
@@ -133,29 +112,7 @@ class OnePhoto(Method[HierarchicalConfig]):
             else:
                 cost = self._descents(ITERATIONS, last * ITERATIONS, STEPS, self.peak, MANY, MORE)
         self.done_steps += 1
-        if self.descended:
-            self._settle()
         return {"cost": cost}
-
-    def _settle(self) -> None:
-        """Find the answer of the looks, and whether to ask for one without."""
-        (texels, lost), views = self._texels(), self._views()
-        found = {wider: material(texels, wider * lost, self.capture.resolution) for wider in WIDER}
-        misses = {wider: self._unlike(svbrdf, views) for wider, svbrdf in found.items()}
-        wider = min(misses, key=misses.__getitem__)
-        wider = wider if misses[wider] < LESS * misses[0.0] else 0.0
-        self.answer, self.misses = (found[wider], views), misses[wider]
-        asked = self.task.repeats and self.task.repeats.asked
-        if not asked and self.misses > self._unlike(self.begun, self.views):
-            self.without = Hierarchical(replace(self.task, refuted=True))
-
-    def _unlike(self, svbrdf: SVBRDF, views: Views) -> float:
-        return unlike(svbrdf, views, self.capture, self.renderer)
-
-    def _compare(self) -> None:
-        """Which of both answers is better, once both are there."""
-        if self.without and self.without.done:
-            self.better = self._unlike(*self.without.estimate()) < self.misses
 
     def _descents(self, count: int, first: int, of: int, rate: float, pixels: int, many: int) -> float:
         """The mean cost of a pixel over the last descents: -log of its marginal likelihood."""
@@ -181,35 +138,32 @@ class OnePhoto(Method[HierarchicalConfig]):
         self.peak /= 2
 
     def estimate(self) -> tuple[SVBRDF, Views]:
-        """The better answer; before the descents end, the texels by the present classes; first, the start."""
-        if self.without and self.better:
-            return self.without.estimate()
-        if self.descended or self.done_steps < len(self.starts):
-            return self.answer
-        texels, lost = self._texels()
-        return material(texels, 0 * lost, self.capture.resolution), self._views()
-
-    def _texels(self) -> tuple[Tensor, Tensor]:
-        """Means of texels by the present classes, M x 10, and what their slopes lack, M."""
+        """The texels by the present classes; before all starts were tried, the robust start."""
+        if self.done_steps < len(self.starts):
+            return self.begun, self.views
         classes, parts = self.classes, []
         with torch.no_grad():
             for some in torch.arange(len(self.pixels.at)).split(CHUNK):
                 found = classes.posterior(self.pixels.pick(some), nodes(len(some), MOST, self.config.seed))
                 parts.append((classes.texels(found, classes.specular), classes.lost(found)))
-        texels, lost = zip(*parts)
-        return torch.cat(texels), torch.cat(lost)
+        texels, lost = (torch.cat(part) for part in zip(*parts))
+        views = replace(self.views.carried(classes.moved.double() * self.views.size),
+                        intensity=self.views.intensity * float(classes.power.exp()))
+        return self._widened(texels, lost, views), views
 
-    def _views(self) -> Views:
-        classes = self.classes
-        return replace(self.views.carried(classes.moved.double() * self.views.size),
-                       intensity=self.views.intensity * float(classes.power.exp()))
+    def _widened(self, texels: Tensor, lost: Tensor, views: Views) -> SVBRDF:
+        """The material of texels; in the end with lobes as wide as the photo asks for."""
+        side = self.capture.resolution
+        found = [material(texels, wider * lost, side) for wider in WIDER[:None if self.done else 1]]
+        misses = [unlike(svbrdf, views, self.capture, self.renderer) for svbrdf in found]
+        least = min(range(len(found)), key=misses.__getitem__)
+        return found[least if misses[least] < LESS * misses[0] else 0]
 
     def state(self) -> dict[str, Tensor]:
         """The numbers, those of the best start, Adam's averages, and how far it is."""
         return {"numbers": self.numbers.detach().clone(), "best": self.best.clone(),
                 "done": torch.tensor(self.done_steps), **optimizer_state("adam", self.optimizer),
-                "rates": torch.tensor([self.peak, min(self.best_cost, 1e30)], dtype=torch.float64),
-                **(named("without", self.without.state()) if self.without else {})}
+                "rates": torch.tensor([self.peak, min(self.best_cost, 1e30)], dtype=torch.float64)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
@@ -217,9 +171,3 @@ class OnePhoto(Method[HierarchicalConfig]):
         load_optimizer_state("adam", self.optimizer, state)
         self.best, self.done_steps = state["best"].clone(), int(state["done"])
         self.peak, self.best_cost = state["rates"].tolist()
-        self.answer, self.without, self.better = (self.begun, self.views), None, False
-        if self.descended:
-            self._settle()
-        if self.without:
-            self.without.load_state(part(state, "without."))
-            self._compare()

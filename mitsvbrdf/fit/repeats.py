@@ -30,14 +30,12 @@ class Repeats(NamedTuple):
         between: how much of the variance of its ranks lies between sixteenths of the photo, 0 to 1.
         contrast: by how much of their lightness these differ.
         asked: whether the user says so, and not the photo.
-        refuted: whether its looks, laid elsewhere, resemble the photo less than a fit without them.
     """
 
     stationary: bool
     between: float
     contrast: float
     asked: bool
-    refuted: bool = False
 
     def said(self) -> str:
         """What is said of it."""
@@ -48,8 +46,6 @@ class Repeats(NamedTuple):
         if self.stationary:
             return (f"one photo, taken for that of a material that repeats itself: {found}; specular, "
                     "roughness and normals are those of its looks, hardly any texel's own")
-        if self.refuted:
-            found += "; but a few looks, laid elsewhere, resemble the photo less than maps without them"
         return f"one photo, not taken for that of a material that repeats itself: {found}; {HARDLY_TOLD}"
 
 

@@ -64,7 +64,7 @@ class SolvedGan(Method[GanConfig]):
 
     def __init__(self, task: FitTask[GanConfig]) -> None:
         super().__init__(task)
-        self.stage, self.began, self.steps = 0, 0.0, 0
+        self.task, self.stage, self.began, self.steps = task, 0, 0.0, 0
         self.spared = spared(task.capture, task.config.seed)
         self.without = replace(task, capture=held_out(task.capture, self.spared), own_guess=None)
         longest = HierarchicalConfig().default_limit["budget"]

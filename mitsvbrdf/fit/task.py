@@ -36,7 +36,6 @@ class FitTask(Generic[Config]):
         estimated: how the views were estimated from the photos; None where they were stated, or stay the
             default.
         light_doubted: whether photos contradict the stated light power.
-        refuted: whether one photo was fitted by looks and is explained better without.
     """
 
     capture: Capture
@@ -45,7 +44,6 @@ class FitTask(Generic[Config]):
     own_guess: Tensor | None = None
     estimated: EstimatedViews | None = None
     light_doubted: bool = False
-    refuted: bool = False
 
     @cached_property
     def fixed(self) -> Mapping[str, Tensor]:
@@ -76,8 +74,7 @@ class FitTask(Generic[Config]):
             return None
         if len(self.capture) > 1 or self.capture.measured is not None or config.bsdf != "roughconductor":
             return None
-        found = repeats(self.capture, config.stationary)
-        return found._replace(stationary=False, refuted=True) if self.refuted else found
+        return repeats(self.capture, config.stationary)
 
     @cached_property
     def views_known(self) -> bool:

@@ -168,20 +168,3 @@ def test_lobes_take_the_slopes_that_means_lack():
     assert lost == pytest.approx(torch.full((4,), 0.01), rel=0.1)
     roughness = material(classes.texels(found, classes.specular), lost, 2)["roughness"]
     assert roughness.square() == pytest.approx(torch.full((2, 2, 1), (0.09**2 + 0.02) ** 0.5), rel=0.05)
-
-
-def test_looks_that_do_not_resemble_the_photo_give_way_to_a_fit_without(monkeypatch):
-    monkeypatch.setattr("mitsvbrdf.fit.one_photo.TRIED", 1)
-    monkeypatch.setattr("mitsvbrdf.fit.one_photo.STEPS", 10)
-    monkeypatch.setattr("mitsvbrdf.fit.one_photo.LOOKS", ((0.4, 0.04),))
-    monkeypatch.setattr("mitsvbrdf.fit.one_photo.METALS", ())
-    misses = iter([0.3, 0.29, 0.28, 0.2, 0.1])  # looks three times, the guess, and the fit without looks
-    monkeypatch.setattr("mitsvbrdf.fit.one_photo.unlike", lambda *given: next(misses))
-    photo = photo_of(0.2 + 0.3 * torch.rand(32, 32, generator=torch.Generator().manual_seed(0)))
-    found = fit_svbrdf(photo, make_renderer("analytic"), HierarchicalConfig())
-    other = fit_svbrdf(photo, make_renderer("analytic"), HierarchicalConfig(stationary=False))
-    for name, value in other.svbrdf.maps.items():
-        assert torch.equal(value, found.svbrdf[name])
-    assert found.record["repeats"]["refuted"] and not found.record["repeats"]["stationary"]
-    assert found.omitted == other.omitted and next(misses, None) is None
-    assert sum("one photo" in warning for warning in found.warnings) == 1

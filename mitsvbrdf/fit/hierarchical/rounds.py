@@ -60,7 +60,7 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def __init__(self, task: FitTask[HierarchicalConfig]) -> None:
         super().__init__(task)
-        capture, config = task.capture, task.config
+        self.task, capture, config = task, task.capture, task.config
         self.variant = task.renderer.variant or "llvm_ad_rgb"
         self.corrections = ViewCorrections(capture, task.refined, self.fits_offset)
         search = Search.of(Scales(capture, task.guess, self.fixed, config, self.variant))
