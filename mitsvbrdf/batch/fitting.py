@@ -115,7 +115,7 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
     if settings := options.detail_config(config):
         result = with_detail(result, shots, engine, settings)
     write_fit_files(result, shots, out, options.record(shots), shown, pages=asked["pages"])
-    write_preview(out / "preview.jpg", result.detail or result.svbrdf, shots)
+    write_preview(out / "preview.jpg", result.detail or result.svbrdf, shots.through(result.transfer))
     return _row(out)
 
 

@@ -178,6 +178,11 @@ class Capture:
         """The same capture with other values of some fields; photos are kept as they are."""
         return replace(self, **{"photos": self.stored, **changes})
 
+    def through(self, transfer: color.Transfer | None) -> Capture:
+        """The photos through the curve that a fit found, if its transfer function has their response."""
+        same = transfer is not None and color.parts(transfer)[0] == color.parts(self.transfer)[0]
+        return self.but(transfer=transfer) if same else self
+
     @property
     def usable(self) -> Tensor:
         """Where the photos tell a value, N x R x R x 3: measured and not clipped."""

@@ -82,5 +82,4 @@ def as_fitted(result: Fit, capture: Capture) -> tuple[Capture, Renderer, tuple[f
     engine = result.engine()
     if engine is None:
         raise ConfigError("a fit of one of our renderers", result.renderer, "give a renderer")
-    seen = capture.but(transfer=result.transfer or capture.transfer)
-    return placed(seen, result), engine, result.flash_offset
+    return placed(capture, result), engine, result.flash_offset

@@ -18,13 +18,13 @@ from ..views import Falloff, Views, nine_view_grid, shift_lights
 
 
 def placed(capture: Capture, fit: Fit) -> Capture:
-    """A capture that states no views, with views estimated from all of its photos; any other as it is.
+    """A capture that states no views, with views estimated from all of its photos; any other with its own.
 
     Where the fit saw some of these photos, all are moved together until those are, in the mean, where the fit
     has them: sideways by an offset, heights and light power by a factor. So photos that it did not see can be
     predicted, though nothing but the photos themselves says where they were taken. A fit that took the
     default geometry is shown with that. Stated views are read as the fit was told to; of them the light power
-    alone changes, where the fit's maps told another one.
+    alone changes, where the fit's maps told another one. All have the fit's response curve.
 
     Args:
         capture: all photos, those held out and those it saw.
@@ -32,6 +32,7 @@ def placed(capture: Capture, fit: Fit) -> Capture:
     Raises:
         CaptureError: the fit estimated views, and these photos do not allow it.
     """
+    capture = capture.through(fit.transfer)
     if fit.of(capture):
         capture = Reading.told(fit.record.get("command", {})).of(capture)
     if capture.calibrated and fit.light_power_factor != 1 and not fit.estimated and fit.of(capture):

@@ -59,6 +59,7 @@ def write_fit(result: Fit, capture: Capture, out: str | Path, command: dict | No
 def write_fit_files(result: Fit, capture: Capture, out: Path, command: dict | None = None,
                     held_out: Capture | None = None, pages: bool = True) -> None:
     """Write a fit, file by file, into a new folder; the arguments are those of :func:`write_fit`."""
+    capture = capture.through(result.transfer)
     if pages:
         keep_photos(out, capture)
     stored = {"svbrdf": save_maps(result.svbrdf, out / "maps")}

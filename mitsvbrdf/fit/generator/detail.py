@@ -72,7 +72,7 @@ def with_detail(result: Fit, capture: Capture, renderer: Renderer, config: Detai
         return result
     began = time.perf_counter()
     bounded = Bounded.of(result.svbrdf, result.views, result.deviations, config.reach, config.certain)
-    training = DetailTraining(bounded, capture, renderer, config)
+    training = DetailTraining(bounded, capture.through(result.transfer), renderer, config)
     with stop_signals() as stopped:
         for step in range(config.steps):
             training.step(step / config.steps)

@@ -48,8 +48,9 @@ class RealPhotos:
     @property
     def may_learn(self) -> bool:
         """Whether there is time to learn how far to believe the photos."""
-        anew = response_curve.WORK + len(in_turn(self.photos)) * AGREED * (STEPS + 1)  # through a curve
-        steps = steps_of_turns(self.photos) + anew
+        return self._in_time(steps_of_turns(self.photos))
+
+    def _in_time(self, steps: int) -> bool:
         return self.seen.budget.in_time(steps * self.scales.of(Stage.ALONE).texels,
                                         beside=ROUND_STEPS - STEPS)
 
@@ -69,7 +70,9 @@ class RealPhotos:
             return scale, tied
         with profiled("noise"):
             held_out, found = self._held_out(tied, scale), None
-            if color.parts(scale.capture.transfer)[1] is None:
+            anew = response_curve.WORK + len(held_out) * AGREED * (STEPS + 1)
+            if color.parts(scale.capture.transfer)[1] is None and self._in_time(
+                    steps_of_turns(self.photos) + anew):
                 found = response_curve.curved(scale, tied, self.seen.observations, self.prior,
                                               self.next_prior, renderer)
             if found:

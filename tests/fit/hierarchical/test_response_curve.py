@@ -9,17 +9,21 @@ import pytest
 import torch
 from helpers import ANALYTIC, GRID, MITSUBA, TWIN, photos_of
 from helpers.hierarchical_fits import method_of
+from matplotlib.image import imread
 
 from mitsvbrdf import color
 from mitsvbrdf.color import Curve, of_torch
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.evaluate import as_fitted
-from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf
+from mitsvbrdf.evaluate.photos import evaluate_photos
+from mitsvbrdf.evaluate.placement import placed
+from mitsvbrdf.fit import Fit, HierarchicalConfig, fit_svbrdf
 from mitsvbrdf.fit.hierarchical import response_curve
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
 from mitsvbrdf.fit.hierarchical.stages import Stage
 from mitsvbrdf.fit.hierarchical.texel_prior import TexelEstimate
 from mitsvbrdf.material.made import make_material
+from mitsvbrdf.report.folder import write_fit
 
 SIDE, TRUE = 32, Curve(2.0, 0.5)
 
@@ -107,6 +111,26 @@ def test_a_curve_is_found_told_and_used(bent):
     images = TWIN.render(fit.svbrdf, fit.views)
     error = color.to_display(images, fit.transfer) - shots.photos
     assert error.square().mean().sqrt() == pytest.approx(fit.rerender_rmse, rel=1e-4)
+
+
+def test_pictures_and_predictions_have_the_curve(bent, tmp_path):
+    """Of the folder as another program reads it: its pictures err as the fit says."""
+    shots, fit = bent
+    write_fit(fit, shots, tmp_path / "out")
+    drawn = torch.stack([torch.tensor(imread(tmp_path / f"out/rerendered/{name}.png"))[..., :3]
+                         for name in shots.names])
+    # the pictures have 8 bits
+    assert (drawn - shots.photos).square().mean().sqrt() == pytest.approx(fit.rerender_rmse, rel=0.02)
+    found = Fit.load(tmp_path / "out")
+    assert placed(shots, found).transfer == fit.transfer
+    errors, _ = evaluate_photos(found.svbrdf, found, placed(shots, found), MITSUBA)
+    assert errors["rmse_seen"] == pytest.approx(fit.rerender_rmse, rel=1e-3)
+
+
+def test_only_photos_of_the_same_response_have_its_curve():
+    shots = photos_of(make_material("inlay", 8))
+    assert shots.through(TRUE.behind("gamma2.2")).transfer == TRUE.behind("gamma2.2")
+    assert shots.through(TRUE.behind("srgb")) is shots is shots.through(None)
 
 
 def test_photos_without_a_curve_get_none():
