@@ -15,7 +15,6 @@ from mitsvbrdf import color
 from mitsvbrdf.color import Curve, of_torch
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.evaluate import as_fitted
-from mitsvbrdf.evaluate.photos import evaluate_photos
 from mitsvbrdf.evaluate.placement import placed
 from mitsvbrdf.fit import Fit, HierarchicalConfig, fit_svbrdf
 from mitsvbrdf.fit.hierarchical import response_curve
@@ -23,6 +22,7 @@ from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
 from mitsvbrdf.fit.hierarchical.stages import Stage
 from mitsvbrdf.fit.hierarchical.texel_prior import TexelEstimate
 from mitsvbrdf.material.made import make_material
+from mitsvbrdf.measure.rerender import rerender_errors
 from mitsvbrdf.report.folder import write_fit
 
 SIDE, TRUE = 32, Curve(2.0, 0.5)
@@ -122,9 +122,8 @@ def test_pictures_and_predictions_have_the_curve(bent, tmp_path):
     # the pictures have 8 bits
     assert (drawn - shots.photos).square().mean().sqrt() == pytest.approx(fit.rerender_rmse, rel=0.02)
     found = Fit.load(tmp_path / "out")
-    assert placed(shots, found).transfer == fit.transfer
-    errors, _ = evaluate_photos(found.svbrdf, found, placed(shots, found), MITSUBA)
-    assert errors["rmse_seen"] == pytest.approx(fit.rerender_rmse, rel=1e-3)
+    error, _ = rerender_errors(MITSUBA, found.svbrdf, found.views, placed(shots, found))
+    assert error == pytest.approx(fit.rerender_rmse, rel=1e-3)
 
 
 def test_only_photos_of_the_same_response_have_its_curve():
