@@ -136,6 +136,19 @@ def test_the_likelihood_is_a_density_of_what_the_photo_shows(power):
     torch.testing.assert_close(found.double(), exact, rtol=2e-3, atol=0.02)
 
 
+@pytest.mark.parametrize("misses, taken", [((0.3, 0.1, 0.2), 1), ((0.3, 0.2, 0.1), 2),
+                                           ((0.3, 0.16, 0.16), 0)])
+def test_lobes_are_as_wide_as_the_photo_asks_for(misses, taken, monkeypatch):
+    told = iter(misses)
+    monkeypatch.setattr("mitsvbrdf.fit.one_photo.unlike", lambda *_: next(told))
+    photo = photo_of(0.2 + 0.3 * torch.rand(8, 8, generator=torch.Generator().manual_seed(0)), 8)
+    method = make_method(FitTask(photo, make_renderer("analytic"), HierarchicalConfig(stationary=True)))
+    method.done_steps = 10**6
+    texels, lost = torch.full((64, 10), 0.5), torch.full((64,), 0.01)
+    found = method._widened(texels, lost, VIEW)["roughness"]
+    assert torch.equal(found, material(texels, taken * lost, 8)["roughness"])
+
+
 @pytest.mark.slow
 def test_place_and_height_of_the_flash_come_from_the_photo():
     random = 0.2 + 0.3 * torch.rand(64, 64, generator=torch.Generator().manual_seed(0))

@@ -51,6 +51,15 @@ def test_maps_keep_their_bits_and_certain_texels_stay(result, capture):
         assert not torch.equal(found.detail[name][:, 16:], value[:, 16:])
 
 
+def test_photos_are_seen_through_the_curve_of_the_fit(result, capture):
+    bent = result.but(transfer="gamma2.2, gamma 1.8000, shoulder 0.5000")
+    found, plain = (with_detail(fit, capture, ANALYTIC, QUICK).detail for fit in (bent, result))
+    told = with_detail(result, capture.through(bent.transfer), ANALYTIC, QUICK).detail
+    assert not torch.equal(found["roughness"], plain["roughness"])
+    assert not torch.equal(told["roughness"], found["roughness"])  # taken back, where the fit has none
+    assert torch.equal(told["roughness"], plain["roughness"])
+
+
 def test_no_texel_moves_by_more_than_its_bound(result, capture):
     found = with_detail(result, capture, ANALYTIC, dataclasses.replace(QUICK, learning_rate=1.0, worst=1e9))
     bound = QUICK.reach * (result.deviations["roughness"] - QUICK.certain).clamp_min(0)

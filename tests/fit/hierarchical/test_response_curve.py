@@ -16,8 +16,8 @@ from mitsvbrdf.color import Curve, of_torch
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.evaluate import as_fitted
 from mitsvbrdf.evaluate.placement import placed
-from mitsvbrdf.fit import Fit, HierarchicalConfig, fit_svbrdf
-from mitsvbrdf.fit.hierarchical import response_curve
+from mitsvbrdf.fit import Fit, FitTask, GanConfig, HierarchicalConfig, fit_svbrdf, make_method
+from mitsvbrdf.fit.hierarchical import response_curve, stages
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
 from mitsvbrdf.fit.hierarchical.stages import Stage
 from mitsvbrdf.fit.hierarchical.texel_prior import TexelEstimate
@@ -135,6 +135,33 @@ def test_only_photos_of_the_same_response_have_its_curve():
 def test_photos_without_a_curve_get_none():
     fit = fit_svbrdf(through(None), MITSUBA, HierarchicalConfig(exact=False, budget=600))
     assert fit.transfer == "gamma2.2" and not any("response curve" in told for told in fit.warnings)
+
+
+def test_a_curve_by_which_photos_predict_each_other_worse_is_refused(monkeypatch):
+    method = method_of(through(None), exact=False)
+    while method.stages.stage != Stage.TOGETHER or not method.stages.finished:
+        method.step(0.0)
+
+    def wrong(scale, answer, *_):
+        capture = scale.capture.but(transfer=Curve(0.6, 0.0).behind("gamma2.2"))
+        return replace(scale, capture=capture), answer
+
+    monkeypatch.setattr(response_curve, "curved", wrong)
+    method.step(0.0)
+    assert method.stages.stage == Stage.FINE
+    assert method.real.curve is None and method.scale.capture.transfer == "gamma2.2"
+
+
+def test_the_game_of_gan_sees_through_the_curve_of_its_first_solver(bent, monkeypatch):
+    monkeypatch.setattr(stages, "EXACT", 0.0)
+    method = make_method(FitTask(bent[0], MITSUBA, GanConfig()))
+    while not method.stage:
+        method.step(0.0)
+    assert method.stage == 1 and color.parts(method.capture.transfer)[1] is not None
+    assert method.solvers[1].capture.transfer == method.without.capture.transfer == method.capture.transfer
+    again = make_method(FitTask(bent[0], MITSUBA, GanConfig()))
+    again.load_state(method.state())
+    assert again.solvers[1].capture.transfer == again.without.capture.transfer == method.capture.transfer
 
 
 def test_a_resumed_fit_has_the_curve(bent):
