@@ -84,8 +84,7 @@ def _step(curve: color.Curve, scale: Scale, answer: TexelEstimate, photos: Obser
     weight = ((seen < color.CLIPPED) | (error < 0)).float()
     if photos.robust is not None:
         weight = weight / (1 + (error / photos.robust).square()).sqrt()
-    # the solver has one weight for a pixel
-    weight = weight.amin(dim=-1) if weights is None else weight.amin(dim=-1) * weights
+    weight = weight.amin(dim=-1) * (1 if weights is None else weights)  # one for a pixel, as in the solver
     alone = replace(photos, robust=None, weights=weight, sensor=None)
     columns = []
     for column in (error, *slopes):  # J^T W of each
