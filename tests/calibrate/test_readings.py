@@ -87,7 +87,8 @@ def test_the_option_gives_the_views_meant_and_evaluation_follows_it(axes, turn):
     read = options.chosen(wrong)[0].views
     assert torch.equal(read.camera, meant.views.camera) and torch.equal(read.light, meant.views.light)
     assert torch.allclose(read.intensity, meant.views.intensity, rtol=1e-12) and read.size == meant.views.size
-    fit = Fit({"command": options.record(wrong), "capture": {"name": ""}, "views": {}})
+    fit = Fit({"command": options.record(wrong), "capture": {"name": "", "transfer": wrong.transfer},
+               "views": {}})
     assert torch.equal(placed(wrong, fit).views.camera, meant.views.camera)
 
 

@@ -91,9 +91,9 @@ class RealPhotos:
         """Photos through the curve that they ask for, with a note on it; as they are where there is none."""
         if self.curve is None or capture.transfer == self.curve.behind(capture.transfer):
             return capture
-        told = (f"held-out photos ask for a response curve, which the fit uses: gamma {self.curve.gamma:.2f} and "
-                f"shoulder {self.curve.shoulder:.2f} behind {capture.transfer}; how bright colours are depends "
-                "on it, which their deviations do not count")
+        told = (f"held-out photos ask for a response curve, which is used: gamma {self.curve.gamma:.2f}, "
+                f"shoulder {self.curve.shoulder:.2f} behind {capture.transfer}; how bright colours are "
+                "depends on it, which their deviations do not count")
         return capture.but(transfer=self.curve.behind(capture.transfer), notes=(*capture.notes, told))
 
     def _held_out(self, tied: TexelEstimate, scale: Scale) -> dict[int, TexelEstimate]:
