@@ -124,15 +124,13 @@ def shown_half(truth, views) -> torch.Tensor:  # noqa: ANN001
 
 
 def counted(truth, found, views, own: dict, alike: dict, curves: dict) -> dict:  # noqa: ANN001
-    """Counts of every k-th texel, by group and map; histograms of errors are added to ``curves``."""
-    step = -(-truth.resolution // SIDE)
-    every = slice(step // 2, None, step)
-    seen, metal = shown_half(truth, views)[every, every], truth["specular"].mean(-1)[every, every] > METAL
+    """Counts of all texels, by group and map; histograms of errors are added to ``curves``."""
+    seen, metal = shown_half(truth, views), truth["specular"].mean(-1) > METAL
     masks = dict(zip(GROUPS, (torch.ones_like(metal), ~metal & seen, ~metal & ~seen, metal & seen,
                               metal & ~seen)))
     counts: dict = {group: {} for group in GROUPS}
     for name in MAPS:
-        error = (in_numbers(name, found[name]) - in_numbers(name, truth[name]))[every, every].abs()
+        error = (in_numbers(name, found[name]) - in_numbers(name, truth[name])).abs()
         spread = own[name].square().mean(-1).sqrt()
         off = error.square().mean(-1).sqrt() > 3 * spread
         for group, mask in masks.items():

@@ -31,7 +31,8 @@ def omitted_by(task: FitTask, views: Views | None = None) -> list[Omitted]:
     items = list(scene_needs(material, views or task.capture.views, task.renderer.name).omitted)
     items += [Omitted(f"gradient of {name}", why) for name, why in described(config.fix).items()]
     if (step := step_of(task.capture.resolution)) > 1:
-        items.append(Omitted(f"deviations of more than one texel in {step} a side", "interpolated between"))
+        items.append(Omitted(f"the open valley of more than one texel in {step} a side",
+                             "deviations between are its texels' own, times what the valley adds nearby"))
     if "diffuse" in task.fixed:
         items.append(Omitted("guessed diffuse map", "diffuse held fixed"))
     items += [Omitted(losses.NAMES[name], why) for name, why in task.unused.items()]

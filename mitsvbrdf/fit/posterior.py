@@ -40,9 +40,9 @@ CONTRADICTED = 2.0  # deviations of look-alikes from which on they contradict an
 ROUNDS, COMMON = 10, 20.0  # of expectation-maximisation; texels that the common deviation counts as
 
 
-def step_of(side: int) -> int:
-    """The deviations of every so many-th texel are found; those between are interpolated."""
-    return math.ceil(side / GRID)
+def step_of(side: int, most: int = GRID) -> int:
+    """Every so many-th of ``side`` texels is one of ``most`` or fewer."""
+    return math.ceil(side / most)
 
 
 class Mixture(NamedTuple):
@@ -51,6 +51,34 @@ class Mixture(NamedTuple):
     x: Tensor
     covariance: Tensor
     weight: Tensor
+
+
+class BrightnessNoise(NamedTuple):
+    """Variance of display values by a pixel's brightness: steps between brightnesses, a variance of each."""
+
+    steps: Tensor
+    variance: Tensor
+
+    def weights(self, photos: Tensor, measured: Tensor | None) -> Tensor:
+        """1 / variance of pixels, N x R x R, 0 where they are not measured."""
+        found = (1 / self.variance)[torch.bucketize(color.shown(photos).mean(dim=-1), self.steps)]
+        return (found if measured is None else measured * found).contiguous()
+
+
+def lifted(x: Tensor, names: list[str]) -> Tensor:
+    """Numbers (U x ...) at which slopes are taken: no colour is so dark that it has none."""
+    return torch.stack([plane.clamp_min(LIFTED) if name in COLOURS else plane
+                        for name, plane in zip(names, x)])
+
+
+def vague(names: list[str]) -> Tensor:
+    """Precision of numbers of which nothing is known but their range, U."""
+    return torch.tensor([(0.25 if name == "normal" else 1) / FLAT for name in names])
+
+
+def refused(missed: Tensor, values: Tensor) -> Tensor:
+    """Whether photos refuse an answer that misses their values by this chi^2."""
+    return missed > values + 5 * (2 * values).sqrt()
 
 
 class OwnPhotos:
@@ -67,11 +95,11 @@ class OwnPhotos:
         self.photos = Observations(capture.photos, capture.views, capture.transfer, 1.0)
         self.best, unknowns = self.answer, len(self.names)
         for _ in range(3):  # the first noise is that of the answer
-            self.photos = replace(self.photos, weights=self._precision(self.best))
+            self.noise = self._noise(self.best)
+            self.photos = replace(self.photos, weights=self.noise.weights(capture.photos, capture.measured))
             self.best, self.least = self._solved(self.best, 10)
         self.noise2 = ((self.least + unknowns) / self.values.clamp_min(unknowns)).double().flatten()
-        missed = self._solved(self.answer, 0)[1]
-        self.refused = missed > self.values + 5 * (2 * self.values).sqrt()  # their photos refuse the answer
+        self.refused = refused(self._solved(self.answer, 0)[1], self.values)
 
     def _solved(self, x: Tensor, steps: int, held: int | None = None) -> tuple[Tensor, Tensor]:
         """The numbers after some steps, U x R x R, one of them held, and chi^2, R x R."""
@@ -83,8 +111,8 @@ class OwnPhotos:
                                   self.high, steps)
         return found.x, found.data
 
-    def _precision(self, x: Tensor) -> Tensor:
-        """1 / variance of pixels, N x R x R, in display values, from what pixels as bright are missed by."""
+    def _noise(self, x: Tensor) -> BrightnessNoise:
+        """What pixels as bright are missed by."""
         capture = self.capture
         with torch.no_grad():
             images = self.renderer.render(self.solver.svbrdf(x).map(Tensor.contiguous), capture.views)
@@ -93,19 +121,16 @@ class OwnPhotos:
         level = capture.photos.mean(dim=-1)
         parts = torch.linspace(0, 1, BRIGHTNESSES + 1)[1:-1]
         shown = level if capture.measured is None else level[capture.measured]
-        of = torch.bucketize(level, shown.flatten().quantile(parts)).flatten()
+        steps = shown.flatten().quantile(parts)
+        of = torch.bucketize(level, steps).flatten()
         square, count = (torch.zeros(BRIGHTNESSES).index_add_(0, of, value.sum(dim=-1).flatten())
                          for value in (capture.usable * error.square(), capture.usable * free[..., None]))
-        noise2 = (square / count.clamp_min(1)).clamp_min(QUANTIZATION_NOISE**2)
-        return ((1 if capture.measured is None else capture.measured) / noise2[of].reshape(level.shape)
-                ).float().contiguous()
+        return BrightnessNoise(steps, (square / count.clamp_min(1)).clamp_min(QUANTIZATION_NOISE**2))
 
     def _curvature(self, x: Tensor) -> Tensor:
         """The inverse covariance of texels' numbers, M x U x U, float64."""
-        lifted = [plane.clamp_min(LIFTED) if name in COLOURS else plane for name, plane in zip(self.names, x)]
-        curve = self.solver.normal_equations(self.photos, torch.stack(lifted))[2].flatten(2).movedim(2, 0)
-        return curve.double() / self.noise2[:, None, None] + torch.diag(torch.tensor(
-            [(0.25 if name == "normal" else 1) / FLAT for name in self.names], dtype=torch.float64))
+        curve = self.solver.normal_equations(self.photos, lifted(x, self.names))[2].flatten(2).movedim(2, 0)
+        return curve.double() / self.noise2[:, None, None] + torch.diag(vague(self.names).double())
 
     def mixture(self) -> Mixture:
         """What texels may be by their own photos."""

@@ -148,7 +148,7 @@ class Fit:
 
     @cached_property
     def deviations(self) -> Mapping[str, Tensor]:
-        """Deviation of fitted maps by own photos: r x r x C, r <= 64; in a folder R x R x 1 (RMS)."""
+        """Deviation of fitted maps by own photos: r x r x C, r <= 1024; in a folder R x R x 1 (RMS)."""
         return self._deviations("deviations", "uncertainty")
 
     @cached_property
