@@ -35,14 +35,14 @@ from .warnings import SAMPLED, fit_warnings
 def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -> Fit:
     """The fit that a loop ended with; ``notes`` are those of the photos before views were estimated."""
     method = loop.method
-    task = replace(task, capture=method.capture)
+    task = replace(task, capture=method.capture, own_guess=task.guess)
     capture, renderer, config = task.capture, task.renderer, task.config
     assert loop.best is not None
     _, svbrdf, views = loop.best
     solver = method.solvers[0] if isinstance(method, SolvedGan) else method
     basis, own = None, task
     if isinstance(solver, Hierarchical):
-        basis, own = solver.scales.basis, replace(solver.task, capture=capture)
+        basis, own = solver.scales.basis, replace(solver.task, capture=capture, own_guess=solver.task.guess)
     seen, spreads, alike = _looked_at(svbrdf, views, own, basis)
     told = light_power_told(svbrdf, alike or spreads) if task.light_power_unknown else None
     if told:

@@ -8,6 +8,7 @@ import torch
 from helpers import ANALYTIC, MITSUBA, ROOT
 
 from mitsvbrdf import cli
+from mitsvbrdf.capture import guess_diffuse
 from mitsvbrdf.errors import MapsError
 from mitsvbrdf.fit import (
     DirectConfig,
@@ -15,6 +16,7 @@ from mitsvbrdf.fit import (
     GanConfig,
     HierarchicalConfig,
     HybridConfig,
+    fit_svbrdf,
     losses,
     make_method,
 )
@@ -153,3 +155,12 @@ def test_what_time_was_too_short_for_is_said(hurried, stage, structure, said, le
     again.load_state(stages.state())
     task = FitTask(leather, ANALYTIC, HierarchicalConfig())
     assert [said in dict(parts.omitted_stages(task, each)) for each in (stages, again)] == [hurried] * 2
+
+
+@pytest.mark.parametrize("config", [HierarchicalConfig(iterations=4), DirectConfig(iterations=4)])
+def test_the_guess_is_made_once(config, leather, monkeypatch):
+    made = []
+    monkeypatch.setattr("mitsvbrdf.fit.task.guess_diffuse",
+                        lambda *asked: made.append(guess_diffuse(*asked)) or made[-1])
+    result = fit_svbrdf(leather, MITSUBA, config)
+    assert len(made) == 1 and torch.equal(result.guess, made[0])
