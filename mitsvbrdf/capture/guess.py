@@ -13,7 +13,7 @@ from ..color import NEARLY_CLIPPED
 from ..errors import ConfigError
 from ..io.entry import entry
 from ..io.layout import Layout
-from ..material.resample import resized
+from ..material.resample import averaged_rows, enlarged_rows, resized
 from ..views import geometry, strips
 from .capture import Capture
 
@@ -89,14 +89,14 @@ def _robust(capture: Capture) -> Tensor:
     size = min(capture.resolution, FIT_SIZE)
     light, half, irradiance = geometry(capture.views, size)
     most = over(torch.tensor(math.pi), irradiance)  # apparent albedo of a clipped pixel
-    albedo = torch.cat([_apparent(capture, rows).mean(dim=-1, keepdim=True)
-                        for rows in strips(capture.resolution)], dim=1)
+    albedo = averaged_rows(lambda rows: _apparent(capture, rows).mean(dim=-1, keepdim=True),
+                           capture.resolution, size)
     # photos that show each texel; all where none does
     shows = None if capture.measured is None else (capture.measured | ~capture.measured.any(dim=0))[..., None]
     known = torch.ones_like(most[..., :1])
     if shows is not None:
         known = (resized((~shows).float(), size) == 0).float()
-    texels = [known, resized(albedo, size), most.mean(-1, True), light, half]
+    texels = [known, albedo, most.mean(-1, True), light, half]
     texels = [x.flatten(1, 2).transpose(0, 1).squeeze(-1).contiguous() for x in texels]  # M x N (x 3)
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # more save at most a third on such small chunks, or cost 50 times the time
@@ -105,15 +105,15 @@ def _robust(capture: Capture) -> Tensor:
         fitted = [_shade(_fit(prior, *part), *part[3:]) for part in zip(*(x.split(CHUNK) for x in texels))]
     finally:
         torch.set_num_threads(threads)
-    shading, lobe = (resized(torch.cat(x).T.reshape(-1, size, size, 1), capture.resolution)
-                     for x in zip(*fitted))
+    shading, lobe = (torch.cat(x).T.reshape(-1, size, size, 1) for x in zip(*fitted))
 
     def diffuse(rows: slice) -> Tensor:
         photos = color.shown(capture.stored[:, rows])
         shown = torch.tensor(True) if shows is None else shows[:, rows]
         least = torch.where(shown, photos, torch.inf).amin(dim=0)
         seen = shown & ((photos < NEARLY_CLIPPED) | (photos == least))
-        found = (_apparent(capture, rows) - lobe[:, rows]) / shading[:, rows]
+        found = (_apparent(capture, rows) - enlarged_rows(lobe, capture.resolution, rows)
+                 ) / enlarged_rows(shading, capture.resolution, rows)
         return torch.where(seen, found, torch.nan).nanmedian(dim=0).values.clamp(0, 1)
 
     return torch.cat([diffuse(rows) for rows in strips(capture.resolution)])

@@ -2,7 +2,6 @@
 
 from tyro.conf import Positional
 
-from .. import color
 from ..capture.guess import GuessMethod
 from ..io import images, results
 from ..io.progress import say
@@ -23,6 +22,6 @@ def guess(capture: Positional[Photos], out: Out, method: GuessMethod = "robust",
     shots = read_photos(capture, resolution, views, transfer, "inverse-square")
     guess = guess_diffuse(shots, method)
     with results.output_folder(out, overwrite) as folder:
-        images.write_all(images.linear_writes(folder / "diffuse", guess, color.to_display(guess, "srgb")))
+        images.write_all(images.linear_writes(folder / "diffuse", guess, "srgb"))
     say(f"wrote {out}/diffuse.exr, diffuse.png")
     return 0

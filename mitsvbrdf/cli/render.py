@@ -5,7 +5,6 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
-from .. import color
 from ..errors import MapsError
 from ..io import images, results
 from ..io.progress import say
@@ -50,6 +49,6 @@ def render(
         for part in batches(len(names), svbrdf.resolution):
             shown = engine.render(svbrdf, lit.pick(part))
             images.write_all([write for k, image in zip(part, shown) for write in images.linear_writes(
-                folder / names[k], image, color.to_display(image, transfer))])
+                folder / names[k], image, transfer)])
     say(f"wrote {len(names)} images of {options.name_of(maps)} to {out}")
     return 0

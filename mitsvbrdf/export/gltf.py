@@ -11,12 +11,12 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from .. import __version__, color
+from .. import __version__
 from ..io import files, images
-from ..material.conversion import as_shown, layered, relative_f0
+from ..material.conversion import layered, relative_f0
 from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..material.relief import heights, occlusion
-from .residual import residual
+from .residual import shown_residual
 from .textures import DEFAULTS, LINEAR, NOTES, Export, ExportSettings, Texture, described, rendered, stored
 
 FILE = "material.glb"
@@ -43,15 +43,15 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
         for kind, f0 in {"with KHR_materials_specular": factor,
                          "without it": torch.ones_like(factor)}.items():
             f0 = f0 * DIELECTRIC_F0
-            lost[kind] = residual(svbrdf, as_shown(material, f0, f0.amax(dim=-1, keepdim=True)))
+            lost[kind] = shown_residual(svbrdf, material, f0, f0.amax(dim=-1, keepdim=True))
     else:
         glass = torch.full_like(svbrdf["metallic"], DIELECTRIC_F0)
-        lost = {"base colour as it is": residual(svbrdf, as_shown(svbrdf, glass, glass))}
+        lost = {"base colour as it is": shown_residual(svbrdf, svbrdf, glass, glass)}
     shaded = occlusion(heights(svbrdf["normal"], settings.repeats), settings.repeats)
     shaded = shaded[..., None].to(material["roughness"])
     packed = torch.cat((shaded, material["roughness"], material["metallic"]), dim=-1)
-    images = {"base_color": stored("base_color", material["base_color"]), "metallic_roughness": packed,
-              "normal": stored("normal", material["normal"])}
+    images = {"base_color": material["base_color"], "metallic_roughness": packed,
+              "normal": material["normal"]}
     textures = [described(f"{FILE}: base_color", "base_color", 8),
                 Texture(f"{FILE}: metallic_roughness", "occlusion in R, roughness in G, metallic in B",
                         LINEAR, 8),
@@ -59,7 +59,7 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
     extension = {}
     if factor is not None:
         largest = max(float(factor.max()), 1.0)  # a texture ends at 1, the factor beside it does not
-        images["specular_color"] = color.encode(factor / largest, "srgb")
+        images["specular_color"] = factor / largest
         textures.append(Texture(f"{FILE}: specular_color",
                                 f"factor on the dielectric F0 of 0.04, divided by {largest:.6g}", "sRGB", 8))
         extension = {"specularColorFactor": [largest] * 3, "specularColorTexture": {"index": 3}}
@@ -72,7 +72,8 @@ def _glb(textures: dict[str, Tensor], specular: dict, settings: ExportSettings) 
     side, blob, views = settings.side or 1.0, bytearray(), list[dict]()
     numbers = [tuple(side * x for x in CORNERS), *FRAME]
     parts: list[tuple[bytes, dict]] = [(struct.pack(f"<{len(each)}f", *each), VERTICES) for each in numbers]
-    pictures = images.write_all([partial(images.encode_png, each) for each in textures.values()])
+    pictures = images.write_all([partial(images.encode_png, each, shown=partial(stored, name.replace(
+        "specular_color", "specular"))) for name, each in textures.items()])
     parts += [(struct.pack("<6H", *TRIANGLES), INDICES), *((each, {}) for each in pictures)]
     for data, about in parts:
         blob.extend(b"\0" * (-len(blob) % 4))

@@ -8,13 +8,13 @@ from zlib import crc32
 import torch
 
 from ..io import files, images
-from ..material.conversion import FULL_LEVEL, as_shown, layered
+from ..material.conversion import FULL_LEVEL, layered
 from ..material.encoding import ENCODINGS
 from ..material.map_set import DESCHAINTRE
 from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..material.naming import FILE_NAMES
 from ..material.relief import heights, occlusion
-from .residual import residual
+from .residual import shown_residual
 from .textures import DEFAULTS, LINEAR, NORMALS, NOTES, Export, ExportSettings, Texture, Textures, stored
 
 LONGEST = 100  # bytes of a material's name in file names; more would not fit every file system
@@ -38,7 +38,7 @@ def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
         level = torch.where(material["metallic"] > 0, 0.5, level)
         for kind, f0 in {"with the specular level": FULL_LEVEL * level,
                          "without it": torch.full_like(level, DIELECTRIC_F0)}.items():
-            lost[kind] = residual(svbrdf, as_shown(material, f0, f0))
+            lost[kind] = shown_residual(svbrdf, material, f0, f0)
     height = heights(svbrdf["normal"], settings.repeats)
     both |= {**material.maps, "specular_level": level,
              "occlusion": occlusion(height, settings.repeats).float()[..., None],

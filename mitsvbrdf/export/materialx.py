@@ -10,11 +10,11 @@ from pathlib import Path
 import torch
 
 from ..io import files
-from ..material.conversion import as_shown, layered, relative_f0, usual_f0
+from ..material.conversion import layered, relative_f0, usual_f0
 from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..material.naming import SURFACES
 from ..render.bsdf import index_from_f0
-from .residual import residual
+from .residual import shown_residual
 from .textures import DEFAULTS, NOTES, SRGB, Export, ExportSettings, Textures, rendered
 
 # Files, each with its version of MaterialX and its shader.
@@ -27,7 +27,7 @@ def write_materialx(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEF
     if svbrdf.bsdf == "roughconductor":
         level = usual_f0(svbrdf)
         material, relative = layered(svbrdf, torch.tensor(level)), relative_f0(svbrdf, level)
-        lost = {"materialx": residual(svbrdf, as_shown(material, relative * level, torch.tensor(level)))}
+        lost = {"materialx": shown_residual(svbrdf, material, relative * level, torch.tensor(level))}
         largest = max(float(relative.max()), 1.0)  # a texture ends at 1, the factor beside it does not
     with Textures(folder) as textures:
         written = {name: textures.add(f"textures/{name}.png", name, value, settings.bits)

@@ -3,8 +3,10 @@
 import math
 
 import torch
+from torch import Tensor
 
 from ..color import to_display
+from ..material.conversion import as_shown
 from ..material.maps import SVBRDF
 from ..measure.metrics import map_rmse, photo_rmse
 from ..render.analytic import AnalyticRenderer
@@ -26,15 +28,22 @@ def three_lights() -> Views:
 
 
 def residual(svbrdf: SVBRDF, converted: SVBRDF) -> dict[str, float]:
-    """RMSE of converted maps (linear^(1/2.2)) and of pictures under :data:`LIGHTS` (sRGB).
-
-    Of large maps every k-th texel is looked at.
-    """
-    step = max(1, svbrdf.resolution // TEXELS)
-    svbrdf, converted = (each.map(lambda value: value[::step, ::step]) for each in (svbrdf, converted))
+    """RMSE of converted maps (linear^(1/2.2)) and of pictures under :data:`LIGHTS` (sRGB)."""
     errors = map_rmse(converted, svbrdf)
     renderer, views, side = AnalyticRenderer(), three_lights(), min(SIDE, svbrdf.resolution)
     wanted, shown = (renderer.render(each.as_roughconductor().to(torch.float32).resized(side), views)
                      for each in (svbrdf, converted))
     _, pictures = photo_rmse(shown, to_display(wanted, "srgb"), "srgb")
     return {name: errors[name] for name in ("diffuse", "specular")} | dict(zip(LIGHTS, pictures))
+
+
+def shown_residual(svbrdf: SVBRDF, material: SVBRDF, f0: Tensor, taken: Tensor) -> dict[str, float]:
+    """The same of what a client shows (:func:`mitsvbrdf.material.conversion.as_shown`), of large maps by
+    every k-th texel.
+    """
+    step = max(1, svbrdf.resolution // TEXELS)
+
+    def some(value: Tensor) -> Tensor:
+        return value[::step, ::step] if value.dim() else value
+
+    return residual(svbrdf.map(some), as_shown(material.map(some), some(f0), some(taken)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -100,7 +101,8 @@ class Textures:
     def add(self, file: str, name: str, value: Tensor, bits: Bits, normal: NormalConvention = "gl"
             ) -> Texture:
         """A PNG of a linear map."""
-        self.writes.append(lambda: images.write_png(self.folder / file, stored(name, value, normal), bits))
+        self.writes.append(partial(images.write_png, self.folder / file, value, bits,
+                                   partial(stored, name, normal=normal)))
         return described(file, name, bits, normal)
 
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import torch
 
 from ..io import files, images
-from ..material.conversion import as_shown, layered, usual_f0
+from ..material.conversion import layered, usual_f0
 from ..material.maps import COLOURS, DIELECTRIC_F0, SVBRDF
 from ..render.bsdf import index_from_f0
-from .residual import residual
+from .residual import shown_residual
 from .textures import DEFAULTS, LINEAR, NOTES, Export, ExportSettings, Texture, Textures, rendered
 
 MATERIAL, PATCH = "material.usda", "patch.usda"
@@ -32,7 +32,7 @@ def write_usd(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS)
         material = layered(svbrdf, f0)
         for kind, level in {"preview surface": f0,
                             "preview surface, one refractive index": torch.full_like(f0, usual)}.items():
-            lost[kind] = residual(svbrdf, as_shown(material, level, level))
+            lost[kind] = shown_residual(svbrdf, material, level, level)
         beyond = index_from_f0(torch.where(material["metallic"] > 0, DIELECTRIC_F0, f0)) - 1
         most = max(float(beyond.max()), 1e-6)
         decoding["ior"] = {"scale": ", ".join([f"{most:.7g}"] * 4), "bias": "1, 1, 1, 1"}
@@ -40,7 +40,7 @@ def write_usd(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS)
         textures["ior"] = Texture("textures/ior.png", f"(refractive index - 1) / {most:.6g}", LINEAR, 16)
     else:
         glass = torch.full_like(svbrdf["metallic"], DIELECTRIC_F0)
-        lost = {"base colour as it is": residual(svbrdf, as_shown(svbrdf, glass, glass))}
+        lost = {"base colour as it is": shown_residual(svbrdf, svbrdf, glass, glass)}
     with Textures(folder) as files_of_maps:
         for name, value in material.maps.items():
             textures[name] = files_of_maps.add(f"textures/{name}.png", name, value, 8 if name in COLOURS

@@ -16,13 +16,13 @@ from ..errors import ConfigError, MitsvbrdfError, NotFiniteError
 from ..io.json import NUMBER, shape_error
 from ..io.profile import profiled
 from ..io.signals import stop_signals
-from ..material.maps import SVBRDF
+from ..material.maps import SVBRDF, finite
 from ..measure.rerender import rerender_errors
 from ..render import Renderer
 from ..views import Views
 from .checkpoint import differing, fingerprints, load_tensors, part, save_tensors
 from .config import FitConfig
-from .method import Method, finite
+from .method import Method
 
 CHECKPOINT_SECONDS = 30.0
 MAX_UNDONE = 20

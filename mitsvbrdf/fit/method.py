@@ -108,8 +108,3 @@ def descend(total: Tensor, *optimizers: torch.optim.Optimizer) -> float:
 def cosine(progress: float, floor: float = 0.02) -> float:
     """Falls from 1 to ``floor`` along half a cosine."""
     return floor + (1 - floor) * (1 + math.cos(math.pi * progress)) / 2
-
-
-def finite(value: Tensor) -> bool:
-    """Whether a tensor holds no NaN and no infinity."""
-    return not value.is_floating_point() or bool(torch.isfinite(value).all())

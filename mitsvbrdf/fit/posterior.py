@@ -115,7 +115,7 @@ class OwnPhotos:
         """What pixels as bright are missed by."""
         capture = self.capture
         with torch.no_grad():
-            images = self.renderer.render(self.solver.svbrdf(x).map(Tensor.contiguous), capture.views)
+            images = self.renderer.render(self.solver.svbrdf(x), capture.views)
         error = color.encode(images, capture.transfer) - capture.photos
         free = (1 - len(self.names) / self.values.clamp_min(1)).clamp_min(LEAST_FREE)
         level = capture.photos.mean(dim=-1)

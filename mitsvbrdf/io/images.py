@@ -18,6 +18,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from .. import color
 from ..errors import InputWarning, MitsvbrdfError
 from .colour_profile import is_rec709, to_rec709
 from .decode import check_size, header, picture, upright
@@ -93,7 +94,7 @@ def read_exr(path: Path, error: type[MitsvbrdfError]) -> np.ndarray:
         raise
     except Exception as reason:  # OpenEXR raises plain RuntimeError and others
         raise error("a readable EXR file", f"{path}: {reason}", "export it again") from None
-    return _within(np.array(pixels, dtype=np.float32, order="C"), held, shown)
+    return _within(np.require(pixels, np.float32, ["C", "W"]), held, shown)
 
 
 def _together(path: Path) -> np.ndarray | None:
@@ -228,24 +229,30 @@ def write_channels(path: Path, channels: Mapping[str, np.ndarray]) -> None:
             raise OSError(str(reason)) from None
 
 
-def write_png(path: Path, image: Tensor, bits: int = 8) -> None:
-    """An 8- or 16-bit PNG of display values in [0, 1] (clipped), H x W x 1, 3 or 4 (alpha)."""
-    write_bytes(path, encode_png(image, bits))
+def write_png(path: Path, image: Tensor, bits: int = 8, shown: Callable[[Tensor], Tensor] = Tensor.detach
+              ) -> None:
+    """An 8- or 16-bit PNG of display values in [0, 1] (clipped), H x W x 1, 3 or 4 (alpha).
+
+    ``shown`` makes display values of some rows of the image.
+    """
+    write_bytes(path, encode_png(image, bits, shown))
 
 
-def encode_png(image: Tensor, bits: int = 8) -> bytes:
+def encode_png(image: Tensor, bits: int = 8, shown: Callable[[Tensor], Tensor] = Tensor.detach) -> bytes:
     """The content of the file that :func:`write_png` writes."""
     import cv2
 
     kind = np.uint8 if bits == 8 else np.uint16
-    top = np.iinfo(kind).max
-    pixels = np.concatenate([np.rint(rows.clamp(0, 1).to(torch.float64).numpy() * top).astype(kind)
-                             for rows in image.detach().split(BANDED)])
-    pixels = pixels[..., [2, 1, 0, 3][:pixels.shape[2]]] if pixels.shape[2] > 1 else pixels
-    return cv2.imencode(".png", np.ascontiguousarray(pixels))[1].tobytes()
+    pixels, count = np.empty(tuple(image.shape), kind), image.shape[2]
+    order = [2, 1, 0, 3][:count] if count > 1 else [0]
+    for first in range(0, len(image), BANDED):
+        rows = shown(image.detach()[first:first + BANDED]).clamp(0, 1).to(torch.float64).numpy()
+        pixels[first:first + BANDED, :, order] = np.rint(rows * np.iinfo(kind).max)
+    return cv2.imencode(".png", pixels)[1].tobytes()
 
 
-def linear_writes(stem: Path, image: Tensor, display: Tensor) -> list[Callable[[], None]]:
+def linear_writes(stem: Path, image: Tensor, transfer: color.Transfer) -> list[Callable[[], None]]:
     """To write an image as ``stem.exr`` (linear, float32) and ``stem.png`` (display values, 8-bit)."""
     return [partial(write_exr, stem.with_suffix(".exr"), image),
-            partial(write_png, stem.with_suffix(".png"), display)]
+            partial(write_png, stem.with_suffix(".png"), image,
+                    shown=partial(color.to_display, transfer=transfer))]

@@ -106,8 +106,8 @@ def save_maps(svbrdf: SVBRDF, folder: str | Path) -> SVBRDF:
     def write(name: str, value: Tensor) -> None:
         linear = (value + 1) / 2 if name == "normal" else value
         images.write_exr(folder / f"{name}.exr", linear)
-        images.write_png(folder / f"{name}.png", color.encode(linear, "srgb") if name in COLOURS else linear,
-                         bits=16)
+        images.write_png(folder / f"{name}.png", linear, 16,
+                         partial(color.encode, transfer="srgb") if name in COLOURS else Tensor.detach)
 
     images.write_all([partial(write, *each) for each in both.items()])
     encoding = {name: code for name, code in ENCODINGS["srgb"].items() if name in both}

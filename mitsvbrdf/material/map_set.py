@@ -15,7 +15,7 @@ from ..io import images
 from ..io.decode import header
 from .conversion import FULL_LEVEL, as_shown
 from .encoding import ENCODINGS, NormalConvention, asked_codes, read_material_json
-from .maps import CHANNELS, COLOURS, SVBRDF, Bsdf
+from .maps import CHANNELS, COLOURS, SVBRDF, Bsdf, finite
 from .naming import FIELD, Source, is_of_field, kind_of, sources
 from .normals import OVERRULE, unit_normals
 from .resample import resized
@@ -229,7 +229,7 @@ def read_map(source: Source, name: str, channels: int, code: str, way: str = OVE
     if source.part is not None:
         side = image.shape[0]
         image = image[:, source.part * side:(source.part + 1) * side]
-    if not torch.isfinite(image).all():
+    if not finite(image):
         raise MapsError("finite values", f"NaN or infinity in {path}", "mend or re-export the map")
     if name == "normal":
         return unit_normals(image, path, code or source.convention, way)

@@ -108,8 +108,8 @@ class SVBRDF:
     def check_finite(self) -> None:
         """Raise NotFiniteError, naming map and texel, unless every value is finite."""
         for name, value in self.maps.items():
-            bad = ~torch.isfinite(value)
-            if bad.any():
+            if not finite(value):
+                bad = ~torch.isfinite(value)
                 raise NotFiniteError("finite values", f"{int(bad.sum())} NaN or infinite in {name}, first at "
                                      f"(row, column, channel) {tuple(bad.nonzero()[0].tolist())}",
                                      "mend or re-export the map")
@@ -183,6 +183,13 @@ def flat(resolution: int, bsdf: Bsdf = "roughconductor", dtype: torch.dtype = to
             maps[name] = torch.full((resolution, resolution, channels), values.get(name, defaults[name]),
                                     dtype=dtype)
     return SVBRDF(bsdf, maps)
+
+
+def finite(value: Tensor) -> bool:
+    """Whether a tensor holds no NaN and no infinity; beside it, no memory is needed."""
+    if not value.is_floating_point() or not value.numel():
+        return True
+    return bool(torch.stack(value.detach().aminmax()).isfinite().all())
 
 
 def shown_map(name: str, value: Tensor) -> Tensor:

@@ -24,10 +24,8 @@ def heights(normal: Tensor, periodic: bool = False) -> Tensor:
     Frankot and Chellappa 1988). Slopes above :data:`STEEPEST` are cut. Of a periodic material the last texel
     goes on in the first; the slope of the whole is lost.
     """
-    n = normal.double()
-    size = len(n)
-    z = n[..., 2].clamp_min(1 / STEEPEST)
-    right, down = -n[..., 0] / z / size, n[..., 1] / z / size
+    size, z = len(normal), normal[..., 2].double().clamp_min(1 / STEEPEST)
+    right, down = -normal[..., 0].double() / z / size, normal[..., 1].double() / z / size
     if periodic:
         between_right, between_down = (right + right.roll(-1, 1)) / 2, (down + down.roll(-1, 0)) / 2
         source = between_right - between_right.roll(1, 1) + between_down - between_down.roll(1, 0)

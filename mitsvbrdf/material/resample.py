@@ -1,7 +1,9 @@
 """Maps and photos at another size, by area averages and bilinear interpolation."""
 
+from collections.abc import Callable
 from typing import Any
 
+import torch
 import torch.nn.functional as F
 from torch import Tensor
 
@@ -9,12 +11,29 @@ from torch import Tensor
 def resized(images: Tensor, side: int) -> Tensor:
     """Images (R x R x C, or N of them) in ``side`` pixels a side: area averages down, bilinear up."""
     how = {"mode": "area"} if side <= images.shape[-2] else {"mode": "bilinear", "align_corners": False}
-    return _interpolated(images, side, **how)
+    return _interpolated(images, (side, side), **how)
 
 
 def area_averaged(images: Tensor, side: int) -> Tensor:
     """Images (R x R x C, or N of them) area-averaged to ``side`` pixels a side; contiguous."""
-    return images if images.shape[-2] == side else _interpolated(images, side, mode="area").contiguous()
+    same = images.shape[-2] == side
+    return images if same else _interpolated(images, (side, side), mode="area").contiguous()
+
+
+def averaged_rows(part: Callable[[slice], Tensor], count: int, side: int) -> Tensor:
+    """:func:`area_averaged` of images (... x R x R x C, R = ``count``) that a function gives some rows of."""
+    rows = (slice(k * count // side, -((k + 1) * -count // side)) for k in range(side))
+    return torch.cat([_interpolated(part(each), (1, side), mode="area") for each in rows], dim=-3)
+
+
+def enlarged_rows(images: Tensor, side: int, rows: slice) -> Tensor:
+    """Some rows of images (N x R x R x C) bilinearly enlarged to ``side`` pixels a side."""
+    place = ((torch.arange(rows.start, rows.stop) + 0.5) * (images.shape[1] / side) - 0.5).clamp_min(0)
+    above = place.long()
+    below, share = (above + 1).clamp_max(images.shape[1] - 1), (place - above)[:, None, None]
+    upper, lower = (_interpolated(images[:, at], (len(place), side), mode="bilinear", align_corners=False)
+                    for at in (above, below))
+    return (upper.double() * (1 - share) + lower * share).float()  # as the whole is rounded
 
 
 def enlarged(planes: Tensor, side: int) -> Tensor:
@@ -23,12 +42,12 @@ def enlarged(planes: Tensor, side: int) -> Tensor:
 
 
 def sampled(planes: Tensor, side: int) -> Tensor:
-    """Every k-th row and column of planes (... x R x R), k the greatest that leaves ``side``."""
+    """Every k-th row and column of planes (... x R x R), k the greatest that leaves ``side``; a copy."""
     step = max(1, planes.shape[-1] // side)
-    return planes[..., step // 2::step, step // 2::step].contiguous()
+    return planes[..., step // 2::step, step // 2::step].clone(memory_format=torch.contiguous_format)
 
 
-def _interpolated(images: Tensor, side: int, **how: Any) -> Tensor:
+def _interpolated(images: Tensor, size: tuple[int, int], **how: Any) -> Tensor:
     planes = images.movedim(-1, -3)
-    found = F.interpolate(planes if planes.dim() == 4 else planes[None], (side, side), **how)
-    return found.reshape(*planes.shape[:-2], side, side).movedim(-3, -1)
+    found = F.interpolate(planes if planes.dim() == 4 else planes[None], size, **how)
+    return found.reshape(*planes.shape[:-2], *size).movedim(-3, -1)

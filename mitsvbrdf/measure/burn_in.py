@@ -16,6 +16,8 @@ Measured at 128 px on the roughness that MaterialGAN published: `wood-bamboo` 0.
 (`wood-bamboo` 0.69 at 64 px, 0.63 at 256 px).
 """
 
+from collections.abc import Iterator
+
 import torch
 from torch import Tensor
 
@@ -55,7 +57,7 @@ def local_burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
     a principled material those of its specular map.
     """
     looks = _looks(svbrdf.detach().resized(min(LOCAL_SIDE, svbrdf.resolution)))
-    maps = torch.stack(list(looks.values()))
+    maps = torch.stack([each.double() for each in looks.values()])
     here, rolled = oval_shares(maps, oval_patterns(views, maps.shape[-1], float(looks["roughness"].median())))
     elsewhere = rolled.mean(dim=0)
     return dict(zip(looks, ((here - elsewhere) / (1 - elsewhere)).tolist()))
@@ -85,29 +87,33 @@ def oval_shares(maps: Tensor, patterns: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _looks(svbrdf: SVBRDF) -> dict[str, Tensor]:
-    """Specular, as linear^(1/2.2) and the mean of its channels, and roughness: R x R, float64."""
+    """Specular, as linear^(1/2.2) and the mean of its channels, and roughness: R x R."""
     maps = svbrdf.detach().as_roughconductor()
     return {"specular": torch.cat([color.encode(maps["specular"][rows].double()).mean(dim=-1)
                                    for rows in strips(svbrdf.resolution)]),
-            "roughness": maps["roughness"][..., 0].double()}
+            "roughness": maps["roughness"][..., 0]}
 
 
 def explained_share(values: Tensor, angle: Tensor) -> float:
     """R^2 of the least-squares cubic in ``angle`` through ``values`` of its shape; 0 of constants."""
-    y, x = values.double().flatten(), angle.double().flatten()
-    y, x, size = y - y.mean(), x - x.mean(), y.square().mean().sqrt()
-    if y.square().mean().sqrt() <= CONSTANT_BELOW * size:
-        return 0.0
-    return float((1 - (y - cubic(x, y[None])[0]).square().sum() / y.square().sum()).clamp(0, 1))
+    y, x = values.flatten(), angle.flatten()
+    mean, total, size, left = y.mean(dtype=torch.float64), 0.0, 0.0, 0.0
+    for part, trend in zip(y.split(STRIP), cubic(x, y[None])):
+        part = part.double()
+        total += float((part - mean).square().sum())
+        size += float(part.square().sum())
+        left += float((part - trend[0]).square().sum())
+    return 0.0 if total <= CONSTANT_BELOW**2 * size else min(max(1 - left / total, 0.0), 1.0)
 
 
-def cubic(x: Tensor, values: Tensor) -> Tensor:
-    """Least-squares cubics in x (M) through values (S x M), at x: S x M, float64."""
-    x = x.double() - x.double().mean()
-    x = x / x.abs().max().clamp_min(1e-9)
+def cubic(x: Tensor, values: Tensor) -> Iterator[Tensor]:
+    """Least-squares cubics in x (M) through values (S x M), at x: S x M, float64, in strips of M."""
+    x = x.double()
+    middle = x.mean()
+    scale = (x - middle).abs().max().clamp_min(1e-9)
 
     def powers(part: Tensor) -> Tensor:
-        return torch.stack([part**k for k in range(4)])
+        return torch.stack([((part - middle) / scale) ** k for k in range(4)])
 
     square, right = x.new_zeros(4, 4), x.new_zeros(4, len(values))
     for part, numbers in zip(x.split(STRIP), values.split(STRIP, dim=1)):
@@ -115,4 +121,4 @@ def cubic(x: Tensor, values: Tensor) -> Tensor:
         right += powers(part) @ numbers.double().T
     # gelsd: x may be constant
     found = torch.linalg.lstsq(square, right, driver="gelsd").solution
-    return torch.cat([found.T @ powers(part) for part in x.split(STRIP)], dim=1)
+    return (found.T @ powers(part) for part in x.split(STRIP))

@@ -43,17 +43,20 @@ def map_rmse(svbrdf: SVBRDF, reference: SVBRDF, encoding: str = "linear") -> dic
     if encoding not in ENCODINGS:
         raise ConfigError(f"an encoding of {list(ENCODINGS)}", repr(encoding), "choose one of these")
     size = min(svbrdf.resolution, reference.resolution)
-    first, second = (_encoded(s.as_roughconductor().resized(size), ENCODINGS[encoding]["roughness"])
-                     for s in (svbrdf, reference))
-    errors = {name: math.sqrt((first[name] - second[name]).square().mean()) for name in first}
+    first, second = (s.detach().as_roughconductor().resized(size).maps for s in (svbrdf, reference))
+    code, squares = ENCODINGS[encoding]["roughness"], dict.fromkeys(first, 0.0)
+    for rows in strips(size):
+        for name in first:
+            one, other = (_encoded(name, maps[name][rows].double(), code) for maps in (first, second))
+            squares[name] += float((one - other).square().sum())
+    errors = {name: math.sqrt(square / first[name].numel()) for name, square in squares.items()}
     return errors | {"mean": sum(errors.values()) / len(errors)}
 
 
-def _encoded(svbrdf: SVBRDF, roughness: str) -> dict[str, Tensor]:
-    maps = {name: value.detach().double() for name, value in svbrdf.maps.items()}
-    return {"diffuse": color.encode(maps["diffuse"]), "specular": color.encode(maps["specular"]),
-            "roughness": color.encode(maps["roughness"]) if roughness == "gamma 2.2" else maps["roughness"],
-            "normal": (maps["normal"] + 1) / 2}
+def _encoded(name: str, value: Tensor, roughness: str) -> Tensor:
+    if name == "normal":
+        return (value + 1) / 2
+    return value if name == "roughness" and roughness != "gamma 2.2" else color.encode(value)
 
 
 def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "gamma2.2",

@@ -7,13 +7,13 @@ import torch
 from torch import Tensor
 
 from ..capture import Capture
-from ..material.maps import SVBRDF
+from ..material.maps import SVBRDF, finite
 from ..material.resample import sampled
 from ..render import Renderer
 from ..views import Views
 from .metrics import of_all, photo_rmse
 
-PIXELS = 2**24  # that are rendered together
+PIXELS = 2**22  # that are rendered together
 
 
 def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views,
@@ -40,7 +40,7 @@ def rerendered(renderer: Renderer, svbrdf: SVBRDF, views: Views, capture: Captur
     for part in parts:
         shown = capture if len(part) == len(capture) else capture.pick([capture.index[k] for k in part])
         images, _, errors = rerender(renderer, svbrdf, views.pick(part), shown)
-        each += [error if image.isfinite().all() else math.nan for image, error in zip(images, errors)]
+        each += [error if finite(image) else math.nan for image, error in zip(images, errors)]
         samples.append(sampled(images.movedim(-1, 1), min(side, svbrdf.resolution)).movedim(1, -1))
     return Rerendered(of_all(each), each, torch.cat(samples), images if len(parts) == 1 else None)
 

@@ -212,9 +212,13 @@ class MitsubaRenderer:
         tensors = [t.to(torch.float32).to(self.device).contiguous() for t in maps.values()]
         geometry = [t.to(torch.float64).to(self.device).split(self.views_at_once or len(views))
                     for t in (views.camera, views.light, views.intensity)]
-        images = [self._drawings[key](*(part.contiguous() for part in parts), *tensors)
-                  for parts in zip(*geometry)]
+        images = [self._pictures(self._drawings[key], svbrdf.resolution,
+                                 [part.contiguous() for part in parts], tensors) for parts in zip(*geometry)]
         return (images[0] if len(images) == 1 else torch.cat(images)).to(svbrdf["normal"].device)
+
+    def _pictures(self, drawing: Drawing, side: int, geometry: list[Tensor], maps: list[Tensor]) -> Tensor:
+        """N x R x R x 3 by cameras, lights, intensities and maps."""
+        return drawing(*geometry, *maps)
 
     def _wrap(self, bsdf: str, needs: Needs, side: int, falloff: str,
               names: tuple[str, ...]) -> Callable[..., list[Tensor]]:

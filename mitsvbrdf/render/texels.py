@@ -20,9 +20,11 @@ import torch
 from torch import Tensor
 
 from .bsdf import plugin, slot_values
-from .exclusive import MitsubaRenderer
+from .exclusive import Drawing, MitsubaRenderer
 from .needs import Needs
 from .plugins import shading_axes, to_shading
+
+TILE = 2**20  # texels that are drawn at once
 
 
 class TexelRenderer(MitsubaRenderer):
@@ -30,6 +32,18 @@ class TexelRenderer(MitsubaRenderer):
 
     name = "mitsuba"
     views_at_once = 9  # evaluations unrolled in one kernel; more views take several launches
+
+    def _pictures(self, drawing: Drawing, side: int, geometry: list[Tensor], maps: list[Tensor]) -> Tensor:
+        """Some rows of large maps at a time, unless a gradient is wanted: what is made of them is small."""
+        places = torch.arange(side**2, dtype=torch.int32, device=self.device).reshape(side, side)
+        inputs = [*geometry, *maps]
+        if side**2 <= TILE or torch.is_grad_enabled() and any(each.requires_grad for each in inputs):
+            return drawing(places, *inputs)
+        images = geometry[0].new_empty(len(geometry[0]), side, side, 3, dtype=torch.float32)
+        for first in range(0, side, TILE // side):
+            rows = slice(first, first + TILE // side)
+            images[:, rows] = drawing(places[rows], *geometry, *(each[rows] for each in maps))
+        return images
 
     def _wrap(self, bsdf: str, needs: Needs, side: int, falloff: str,
               names: tuple[str, ...]) -> Callable[..., list[Tensor]]:
@@ -40,12 +54,12 @@ class TexelRenderer(MitsubaRenderer):
         shader = HeldPlugin(mi, bsdf, needs)
 
         @dr.wrap(source="torch", target="drjit")
-        def evaluate(cameras: Any, lights: Any, intensities: Any, *tensors: Any) -> list:
+        def evaluate(texels: Any, cameras: Any, lights: Any, intensities: Any, *tensors: Any) -> list:
             # one value a texel
             maps = {n: mi.Float(t.array) if t.shape[2] == 1 else dr.unravel(mi.Color3f, t.array)
                     for n, t in zip(names, tensors)}
             shader.hold(maps)
-            place = texel_position(mi, dr.arange(mi.UInt32, side * side), side)
+            place = texel_position(mi, mi.UInt32(texels.array), side)
             axes = shading_axes(Vector(maps["normal"])) if needs.normal_map else None
             images = []
             for k in range(cameras.shape[0]):
@@ -53,7 +67,7 @@ class TexelRenderer(MitsubaRenderer):
                 to_camera, to_light, irradiance = view_geometry(mi, place, axes, camera, light, intensity,
                                                                 falloff)
                 radiance = shader.eval(to_camera, to_light) * irradiance
-                images.append(mi.TensorXf(dr.ravel(radiance), (side, side, 3)))
+                images.append(mi.TensorXf(dr.ravel(radiance), (*texels.shape, 3)))
             shader.release()
             return images
 

@@ -54,7 +54,7 @@ def keep_photos(folder: Path, capture: Capture) -> None:
     """The photos as ``photos/NN.png``: display values, 8 bits; OutputError among the capture's own."""
     check_apart(folder, capture)
     def write(name: str, row: int) -> None:
-        images.write_png(folder / "photos" / f"{name}.png", capture.photo(row))
+        images.write_png(folder / "photos" / f"{name}.png", capture.stored[row], shown=color.shown)
 
     images.write_all([partial(write, name, row) for row, name in enumerate(capture.names)])
 
@@ -123,7 +123,8 @@ def _predicted(found: Fit, capture: Capture, engine: Renderer, into: Path) -> tu
     predicted, error, each = predict(found.svbrdf, capture, engine, found.flash_offset)
     keep_photos(into, capture)
     for name, image in zip(capture.names, predicted):
-        images.write_png(into / "predicted" / f"{name}.png", color.to_display(image, capture.transfer))
+        images.write_png(into / "predicted" / f"{name}.png", image,
+                         shown=partial(color.to_display, transfer=capture.transfer))
     return [{"name": name, "held_out": True, "rmse": rmse, "photo": f"photos/{name}.png",
              "rerendered": f"predicted/{name}.png"}
             for name, rmse in zip(capture.names, each)], error

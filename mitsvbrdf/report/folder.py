@@ -24,7 +24,7 @@ from .header import material_name
 from .overview import write_sheet
 from .pictures import at_most
 
-SHEET = 1024  # pixels a side that the sheet is made of, at most
+SHEET = 512  # pixels a side that the sheet is made of, at most
 
 
 @entry()
@@ -76,16 +76,14 @@ def write_fit_files(result: Fit, capture: Capture, out: Path, command: dict | No
 
 def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_out: Capture | None) -> None:
     """What people look at, and the scene."""
-    images.write_all(linear_writes(out / "guess/diffuse", result.guess,
-                                   color.to_display(result.guess, "srgb")))
+    images.write_all(linear_writes(out / "guess/diffuse", result.guess, "srgb"))
     small = list[Tensor]()
     for part in batches(len(capture), result.svbrdf.resolution):
         writes = []
         for row in part:
             image = result.rerendering(row)
-            shown = color.to_display(image, capture.transfer)
-            writes += linear_writes(out / f"rerendered/{capture.names[row]}", image, shown)
-            small.append(at_most(shown, SHEET))
+            writes += linear_writes(out / f"rerendered/{capture.names[row]}", image, capture.transfer)
+            small.append(at_most(color.to_display(image, capture.transfer), SHEET))
         images.write_all(writes)
     title = f"{material_name(result)}: {result.method}, {result.svbrdf.bsdf}"
     sure = result.record["confidence"]

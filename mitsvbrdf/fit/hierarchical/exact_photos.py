@@ -80,7 +80,7 @@ class ExactPhotos:
         """The answer with the prior of the next round, from what texels are seen to be."""
         variance = variances(scale.solver, photos, answer)
         if not self.lobes:
-            return self.prior.share(answer, variance, scale.member, len(photos.views), tied=False)
+            return self.prior.share(answer, variance, scale, len(photos.views), tied=False)
         self._measure_noise(answer.x)
         if self.seen.stages.stage != Stage.FINE:
             self.lobes, answer = self.lobes.moved(scale, photos, answer)
@@ -93,7 +93,7 @@ class ExactPhotos:
         With that noise a likelier lobe would be worth more than a highlight that is met.
         """
         some = self.search.scales.of(Stage.MULTI_START)
-        svbrdf = some.solver.svbrdf(self.search.scales.sampled(x)).map(Tensor.contiguous)
+        svbrdf = some.solver.svbrdf(self.search.scales.sampled(x))
         self.seen.measure_noise(svbrdf, some.capture, len(x), make_renderer("mitsuba", some.solver.variant))
 
     def state(self) -> dict[str, Tensor]:

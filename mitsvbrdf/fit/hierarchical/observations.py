@@ -11,7 +11,7 @@ from ...capture import Capture
 from ...material.maps import SVBRDF
 from ...measure.burn_in import cubic
 from ...render import Renderer
-from ...views import Views, coverage_angle, geometry, strips
+from ...views import ALL, Views, coverage_angle, geometry, strips
 from ..config import HierarchicalConfig
 from .scales import Scale
 from .sensor_noise import sensor_noise
@@ -48,10 +48,11 @@ class ObservationModel:
         """The photos; while texels are tied to look-alikes, pixels near highlights count most."""
         noise, capture = float(self.stages.noise), scale.capture
         weighted = self.stages.tied and not scale.free and self.config.highlight_reach
-        weights = self._trust(scale, estimate, self.config.highlight_reach) if weighted else None
+        views = self.corrections.applied(capture.views)
+        weights = trust(views, scale.solver.roughness(estimate.mean), weighted) if weighted else None
         if capture.measured is not None:
             weights = capture.measured * (1 if weights is None else weights)
-        return Observations(capture.stored, self.corrections.applied(capture.views), capture.transfer, noise,
+        return Observations(capture.stored, views, capture.transfer, noise,
                             (ROBUST_END if scale.free else ROBUST) * noise, weights,
                             self.stages.by_brightness if self.stages.told_by_brightness else None)
 
@@ -69,16 +70,14 @@ class ObservationModel:
         """Shared unknowns that do not follow the highlights of real photos."""
         if not (len(planes) and self.stages.tied and self.config.remove_burn_in):
             return planes
-        return without_burn_in(planes, self.corrections.applied(scale.capture.views),
-                               self._trust(scale, estimate, self.config.highlight_reach or 1.0))
-
-    def _trust(self, scale: Scale, estimate: TexelEstimate, reach: float) -> Tensor:
-        roughness = scale.solver.svbrdf(estimate.mean)["roughness"][..., 0]
-        return trust(self.corrections.applied(scale.capture.views), roughness, reach)
+        views, reach = self.corrections.applied(scale.capture.views), self.config.highlight_reach or 1.0
+        roughness, rows = scale.solver.roughness(estimate.mean), strips(scale.capture.resolution)
+        return without_burn_in(planes, views, torch.cat([trust(views, roughness, reach, each).amax(dim=0)
+                                                         for each in rows]))
 
 
-def trust(views: Views, roughness: Tensor, reach: float) -> Tensor:
-    """How much a photo's pixels count, N x R x R: less where the flash is seen far from its mirror direction.
+def trust(views: Views, roughness: Tensor, reach: float, rows: slice = ALL) -> Tensor:
+    """How much a photo's pixels count, N x ? x R: less where the flash is seen far from its mirror direction.
 
     There GGX is least like real materials (their highlights have longer tails), and a small glow, which all
     texels without a highlight show, would be taken for roughness. 1 / (1 + tan^2 / (reach alpha)^2) of the
@@ -88,12 +87,10 @@ def trust(views: Views, roughness: Tensor, reach: float) -> Tensor:
         views: N views.
         roughness: R x R.
         reach: in lobe widths.
+        rows: of the texels.
     """
-    side, parts = roughness.shape[-1], []
-    for rows in strips(side):
-        sine2 = geometry(views, side, rows)[1][..., :2].square().sum(-1)
-        parts.append(1 / (1 + sine2 / (1 - sine2) / (reach * roughness[rows]**2) ** 2))
-    return torch.cat(parts, dim=1).clamp_min(TAIL_FLOOR)
+    sine2 = geometry(views, len(roughness), rows)[1][..., :2].square().sum(-1)
+    return (1 / (1 + sine2 / (1 - sine2) / (reach * roughness[rows]**2) ** 2)).clamp_min(TAIL_FLOOR)
 
 
 def without_burn_in(planes: Tensor, views: Views, trusted: Tensor) -> Tensor:
@@ -106,13 +103,14 @@ def without_burn_in(planes: Tensor, views: Views, trusted: Tensor) -> Tensor:
     Args:
         planes: S x R x R.
         views: N views.
-        trusted: of :func:`trust`, N x R x R.
+        trusted: of :func:`trust`, the most over the photos, R x R.
     """
-    angle = coverage_angle(views, planes.shape[-1]).flatten()
-    trend, weight = cubic(angle, planes.flatten(1)), trusted.amax(dim=0).flatten()
-    along = (trend - trend.mean(dim=1, keepdim=True)).square().mean(dim=1).clamp_min(1e-12)
-    across = (planes.flatten(1).double().var(dim=1, correction=0) - along).clamp_min(0)
-    kept = (CHANCE / (1 - CHANCE) * across / along).sqrt().clamp_max(1)
-    trend = (1 - kept)[:, None] * trend
-    level = (weight * trend).sum(dim=1, keepdim=True) / weight.sum()
-    return planes - (trend - level).reshape(planes.shape).float()
+    angle, weight, found = coverage_angle(views, planes.shape[-1]).flatten(), trusted.flatten(), []
+    for plane in planes:
+        trend = torch.cat([*cubic(angle, plane.reshape(1, -1))], dim=1)[0]
+        along = (trend - trend.mean()).square().mean().clamp_min(1e-12)
+        across = (plane.double().var(correction=0) - along).clamp_min(0)
+        trend *= 1 - (CHANCE / (1 - CHANCE) * across / along).sqrt().clamp_max(1)
+        trend -= (weight * trend).sum() / weight.sum()
+        found.append(plane - trend.reshape(plane.shape).float())
+    return torch.stack(found)

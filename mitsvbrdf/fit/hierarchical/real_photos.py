@@ -13,6 +13,7 @@ from ...io.profile import profiled
 from ...render import Renderer
 from . import response_curve
 from .cross_validation import AGREED, NOISES, in_turn, least_as_good, prediction_errors, steps_of_turns
+from .kernel import tiles
 from .observations import ROBUST_END, ObservationModel
 from .scales import Scale
 from .solver import Observations
@@ -35,14 +36,15 @@ class RealPhotos:
         (self.scales, self.prior), self.seen = search, seen
         self.photos = len(self.scales.of(Stage.ALONE).capture)
         self.curve: color.Curve | None = None  # that the photos were found to ask for
-        self.closed: TexelEstimate | None = None  # what the present answer ends in, once it was asked for
+        # what the present answer ends in, once it was asked for: its shared numbers, and all
+        self.closed: tuple[Tensor, Tensor] | None = None
 
     def next_prior(self, scale: Scale, photos: Observations, answer: TexelEstimate) -> TexelEstimate:
         """The answer with the prior of the next round, from what texels are seen to be."""
         variance = variances(scale.solver, photos, answer)
         if scale.free:
             return self.prior.loosen(answer, variance)
-        return self.prior.share(answer, variance, scale.member, len(photos.views), True,
+        return self.prior.share(answer, variance, scale, len(photos.views), True,
                                 lambda planes: self.seen.without_burn_in(planes, scale, answer))
 
     @property
@@ -136,19 +138,36 @@ class RealPhotos:
         Returns:
             The unknowns, U x R x R.
         """
-        seen, prior, steps = self.seen, self.prior, more
+        seen, prior, steps, x = self.seen, self.prior, more, None
         if self.closed is None:
             if seen.stages.stage != Stage.FINE:
                 scale, answer = self.at_full_size(answer, scale)
                 steps = seen.budget.steps(LAST_STEPS, seen.budget.to_come + LAST_STEPS)
                 answer = answer._replace(x=seen.stepped(scale, answer, prior, steps).x)
-            x, of = answer.x.clone(), prior.shared
-            x[of] = prior.bounded(seen.without_burn_in(x[of], scale, answer), of)
-            answer, steps = prior.fixed_but_diffuse(answer._replace(x=x)), seen.budget.steps(LAST_STEPS)
+            shared = prior.bounded(seen.without_burn_in(answer.x[prior.shared], scale, answer), prior.shared)
+            steps = seen.budget.steps(LAST_STEPS)
         else:
-            answer = self.closed
-        self.closed = answer._replace(x=seen.stepped(scale, answer, prior, steps).x) if steps else answer
-        return self.closed.x
+            shared, x = self.closed
+        if x is None or steps:
+            x = self._ended(answer, shared, scale, steps, x)
+        self.closed = shared, x
+        return x
+
+    def _ended(self, answer: TexelEstimate, shared: Tensor, scale: Scale, steps: int,
+               start: Tensor | None) -> Tensor:
+        """An answer with other shared numbers, S x R x R, after steps in which only the diffuse map may move.
+
+        Steps from ``start``, U x R x R; None: from these numbers themselves.
+        """
+        photos, found = self.seen.observations(scale, answer), torch.empty_like(answer.x)
+        with self.seen.budget.timed("solver", steps * scale.texels):
+            for rows in tiles(len(found[0])):
+                part = answer.rows(rows)
+                part = self.prior.fixed_but_diffuse(part._replace(
+                    x=part.x.index_copy(0, self.prior.shared, shared[:, rows])))
+                part = part if start is None else part._replace(x=start[:, rows])
+                found[:, rows] = stepped(scale.solver, photos.of_rows(rows), part, self.prior, steps).x
+        return found
 
     def state(self) -> dict[str, Tensor]:
         """The curve."""

@@ -74,7 +74,7 @@ def _step(curve: color.Curve, scale: Scale, answer: TexelEstimate, photos: Obser
           renderer: Renderer) -> Tensor:
     """The Gauss-Newton step of the curve, two numbers, every texel following."""
     with torch.no_grad():
-        images = renderer.render(scale.solver.svbrdf(answer.x).map(Tensor.contiguous), photos.views)
+        images = renderer.render(scale.solver.svbrdf(answer.x), photos.views)
     display, do = color.encode(images, color.parts(photos.transfer)[0]), color.of_torch()
     shown, (seen, weights) = curve.bent(display, do), photos.read()
     error = shown - seen

@@ -155,18 +155,20 @@ class Hierarchical(Method[HierarchicalConfig]):
         steps = self.budget.steps(STEPS, self.budget.to_come) if fine else STEPS
         others = FAR_STEPS if lobes else OTHER_STEPS
         scoring = self._scoring()
-        self.cut, (answer, cost) = steps < STEPS, scoring.scored(self.answer, steps)
-        moved = sum(int(((answer.x[:, rows] - self.answer.x[:, rows]).abs().amax(dim=0) > MOVED).sum())
-                    for rows in strips(answer.x.shape[-1])) / cost.numel()
-        self.answer, first = answer, cost.mean()
-        starts = lobes.starts(answer, turn) if lobes else other_starts(self.prior, turn)
+        self.cut, before = steps < STEPS, self.answer.x
+        self.answer, cost = scoring.scored(self.answer, steps)
+        moved = sum(int(((self.answer.x[:, rows] - before[:, rows]).abs().amax(dim=0) > MOVED).sum())
+                    for rows in strips(before.shape[-1])) / cost.numel()
+        del before
+        first = cost.mean()
+        starts = lobes.starts(self.answer, turn) if lobes else other_starts(self.prior, turn)
         for start in starts if self.config.neighbours and self.stages.others else ():
             if fine and not self.budget.in_time(others * self.scale.texels):
                 self.cut = True
                 break
-            answer, cost = scoring.scored(answer, others, start, cost)
+            self.answer, cost = scoring.scored(self.answer, others, start, cost)
         if lobes and fine and self.config.neighbours and not self.cut:
-            answer, cost = scoring.searched_further(answer, cost, lobes.further_starts)
+            self.answer, cost = scoring.searched_further(self.answer, cost, lobes.further_starts)
         if not self.cut:
             self.stages.moved(moved)
             self.stages.saved(float((first - cost.mean()) / first))
@@ -174,12 +176,11 @@ class Hierarchical(Method[HierarchicalConfig]):
         if lobes and self.stages.settled and not self.cut and self.budget.in_time(last):
             self.stages.closing = True
             scoring = self._scoring()
-            answer, cost = scoring.scored(answer, others)
+            self.answer, cost = scoring.scored(self.answer, others)
             if self.config.neighbours:
-                answer, cost = scoring.searched_further(answer, cost, lobes.further_starts)
-            answer = lobes.averaged(answer, cost, partial(scoring.scored, steps=others))
-            answer, _ = scoring.scored(answer, LAST_STEPS)
-        self.answer = answer
+                self.answer, cost = scoring.searched_further(self.answer, cost, lobes.further_starts)
+            self.answer = lobes.averaged(self.answer, cost, partial(scoring.scored, steps=others))
+            self.answer, _ = scoring.scored(self.answer, LAST_STEPS)
         return cost.mean()
 
     def _scoring(self) -> Scoring:
@@ -208,7 +209,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         x = self.real.close(self.answer, self.scale) if self.stages.tied else self.answer.x
         x = enlarged(x, self.capture.resolution) if x.shape[-1] < self.capture.resolution else x
         views, solver = self.corrections.applied(self.views), self.scales.solver(x.shape[-1])
-        return solver.svbrdf(x).map(Tensor.contiguous), views
+        return solver.svbrdf(x), views
 
     def glimpse(self) -> tuple[SVBRDF, Views, Capture] | None:
         """Before the last stage: the present maps beside every k-th pixel of the photos."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from copy import copy
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import torch
 from torch import Tensor
@@ -47,20 +47,27 @@ class Scale:
         """Their number."""
         return self.capture.resolution**2
 
+    @property
+    def look(self) -> Tensor:
+        """What the texels look like, M x 5."""
+        return appearance_of(self.capture, self.guess)
+
     @cached_property
     def member(self) -> Tensor:
         """How much of each basis material texels are, M x K."""
-        return torch.cat(list(self.members()))
+        return torch.cat(list(self.members()()))
 
-    def members(self) -> Iterator[Tensor]:
-        """The same, in parts."""
-        for part in appearance_of(self.capture, self.guess).split(STRIP):
-            yield membership(part, self.basis, self.width)
+    def members(self, kept: bool = False) -> Callable[[], Iterable[Tensor]]:
+        """Gives the same in parts, again and again: kept, or made anew."""
+        if kept:
+            return partial(self.member.split, STRIP)
+        look = self.look
+        return lambda: (membership(part, self.basis, self.width) for part in look.split(STRIP))
 
     def of_basis(self, values: Tensor) -> Tensor:
         """Numbers of the basis materials, S x K, as the texels have them by their look, S x R x R."""
         side = self.capture.resolution
-        return torch.cat([values @ part.T for part in self.members()], dim=1).reshape(-1, side, side)
+        return torch.cat([values @ part.T for part in self.members()()], dim=1).reshape(-1, side, side)
 
 
 class Scales:

@@ -89,29 +89,28 @@ class Scoring:
         """The answer with the texels searched further that the photos refuse, while time is left.
 
         Args:
-            answer: of all texels.
+            answer: of all texels; it is written into, and so is the cost.
             cost: of each, R x R.
             starts: of texels at some places.
         """
         for _ in range(PASSES):
-            refused = self.refused(answer)
-            if not len(refused):
-                break
-            before, answer, cost = answer, answer.copied(), cost.clone()
-            moved = False
-            for texels in refused.split(GROUP**2):
+            refused, found, moved = self.refused(answer), list[tuple[Tensor, Scored]](), False
+            for texels in refused.split(GROUP**2) if len(refused) else ():
                 # always as many, so that one kernel serves all
                 texels = torch.cat((texels, texels[-1:].expand(GROUP**2 - len(texels)))).reshape(GROUP, GROUP)
-                photos, best = self.photos.of_texels(texels), (before.of_texels(texels), cost.take(texels))
-                tried = starts(before, texels)
+                photos, best = self.photos.of_texels(texels), (answer.of_texels(texels), cost.take(texels))
+                tried = starts(answer, texels)
                 if not self.budget.in_time(len(tried) * FURTHER_STEPS * texels.numel()):
-                    return answer, cost
+                    moved = False
+                    break
                 first = best[1]
                 for start in tried:
                     best = _better(*best, *self._tried(photos, start, FURTHER_STEPS))
-                answer.put_texels(texels, best[0])
-                cost.put_(texels, best[1])
+                found.append((texels, best))
                 moved |= bool((best[1] < first).any())
+            for texels, (part, its) in found:
+                answer.put_texels(texels, part)
+                cost.put_(texels, its)
             if not moved:
                 break
         return answer, cost

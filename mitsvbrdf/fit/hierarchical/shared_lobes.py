@@ -17,6 +17,7 @@ from .lobes import Learner, Lobes
 from .observations import ObservationModel
 from .relief import Relief
 from .scales import COARSE, Scale
+from .sharing import membership
 from .solver import Observations, TexelSolver
 from .starts import GOLDEN, TILTS, Start, other_starts, tilted, variances
 from .texel_prior import FIXED, TexelEstimate, TexelPrior
@@ -36,20 +37,25 @@ class SharedLobes:
         lobes: that they share.
         prior: of them, whose normals may be steep.
         relief: how steep they are.
-        rare: -2 log of the shares of the lobes in each, Q x R x R.
+        scale: of the texels.
+        look: of each, M x 5 (:func:`.sharing.appearance_of`).
     """
 
     lobes: Lobes
     prior: TexelPrior
     relief: Relief
-    rare: Tensor
+    scale: Scale
+    look: Tensor
 
     @classmethod
     def at(cls, lobes: Lobes, prior: TexelPrior, relief: Relief, scale: Scale) -> SharedLobes:
         """Lobes for the texels of a scale."""
-        side = scale.capture.resolution
-        rare = torch.cat([(-2 * lobes.shares(part).log()).T for part in scale.members()], dim=1)
-        return cls(lobes, prior.within("normal", -STEEPEST, STEEPEST), relief, rare.reshape(-1, side, side))
+        return cls(lobes, prior.within("normal", -STEEPEST, STEEPEST), relief, scale, scale.look)
+
+    def rare(self, texels: Tensor) -> Tensor:
+        """-2 log of the shares of the lobes in the texels at some places, Q x ..."""
+        member = membership(self.look[texels.flatten()], self.scale.basis, self.scale.width)
+        return (-2 * self.lobes.shares(member).log()).T.reshape(-1, *texels.shape)
 
     @classmethod
     def searched(cls, prior: TexelPrior, scale: Scale, answer: TexelEstimate, seen: ObservationModel,
@@ -61,7 +67,7 @@ class SharedLobes:
         """
         photos, side = replace(seen.observations(scale, answer), robust=None), scale.capture.resolution
         answers, best = searched(scale.solver, photos, prior, answer.x)
-        svbrdf = scale.solver.svbrdf(best).map(Tensor.contiguous)
+        svbrdf = scale.solver.svbrdf(best)
         seen.measure_noise(svbrdf, scale.capture, len(best), renderer)
         photos = replace(seen.observations(scale, answer), robust=None)
         relief, _ = with_relief(prior, answer, variances(scale.solver, photos, answer))
@@ -69,7 +75,7 @@ class SharedLobes:
         learner = Learner(prior.names, scale.member, len(scale.capture))
         lobes = cls.at(learner.learned(found, seen.config.seed), prior, relief, scale)
         each = learner.each(found, lobes.lobes)
-        lobe = (each.cost.T + lobes.rare.flatten(1)).argmin(dim=0)
+        lobe = (each.cost.T + lobes.rare(torch.arange(side**2))).argmin(dim=0)
         x = best.clone()
         x[prior.shared] = each.mean[torch.arange(len(lobe)), lobe].T.float().reshape(-1, side, side)
         return lobes, lobes.having(answer._replace(x=prior.bounded(x).contiguous()),
@@ -108,7 +114,7 @@ class SharedLobes:
         """What costs of the photos' texels lack to -2 log of the lobes' marginal likelihood (Laplace)."""
         _, narrowed = solver.posterior(photos, answer.x, answer.precision)
         lacking = (narrowed - answer.precision[self.prior.shared].log().sum(dim=0)
-                   + self.rare.flatten(1)[answer.lobe, photos.places(slice(0, len(answer.lobe)))])
+                   + self.rare(photos.places(slice(0, len(answer.lobe)))).gather(0, answer.lobe[None])[0])
         square = answer.x[self.prior.slopes].square()
         return (lacking + self.relief.improbability(square.sum(dim=0))
                 - (answer.precision[self.prior.slopes] * square).sum(dim=0))
@@ -127,9 +133,11 @@ class SharedLobes:
     @cached_property
     def others(self) -> list[Tensor]:
         """Lobes that texels may have, 8 bits: common ones, and the last, that of texels like no others."""
-        common = torch.cat([part.topk(min(LIKELY, len(part)), dim=0, largest=False).indices.byte()
-                            for part in self.rare.split(tile_rows(self.rare.shape[-1]), dim=1)], dim=1)
-        return [*common, torch.full_like(common[0], len(self.rare) - 1)]
+        count, side = len(self.lobes.mean), self.scale.capture.resolution
+        places = torch.arange(side**2).reshape(side, side).split(tile_rows(side))
+        common = torch.cat([self.rare(part).topk(min(LIKELY, count), dim=0, largest=False).indices.byte()
+                            for part in places], dim=1)
+        return [*common, torch.full_like(common[0], count - 1)]
 
     def starts(self, answer: TexelEstimate, turn: int) -> list[Start]:
         """Other starts in a round: neighbours with their lobes, tilts, and other lobes.

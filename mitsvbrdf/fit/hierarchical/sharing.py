@@ -11,6 +11,7 @@ et al. 1977; the division is that of expectation propagation, Minka 2001).
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple
 
 import torch
@@ -102,7 +103,7 @@ class Shared(NamedTuple):
 
 
 def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, prior_precision: Tensor,
-           member: Tensor, spread: Tensor, photos: int) -> Shared:
+           members: Callable[[], Iterable[Tensor]], spread: Tensor, photos: int) -> Shared:
     """The prior that texels get from each other.
 
     Args:
@@ -111,29 +112,45 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
         variance: posterior variances, S x M.
         prior_mean: of the prior that these had, S x M.
         prior_precision: the same.
-        member: M x K, of :func:`membership`.
+        members: gives M x K, of :func:`membership`, in parts of :data:`STRIP` texels.
         spread: S, tau over all so far.
         photos: how many follow the model; 0: :data:`TYPICAL` does not count. It decides where photos leave a
             whole material open, as they do a broad lobe that looks like a diffuse one. It counts once for a
             basis material, and beside it its texels as many as there are photos: those that the same photos
             light err alike. Where photos do not follow the model it would weigh more than their highlights.
     """
-    precision = (1 / variance - prior_precision).clamp_min(1e-3)  # of the photos alone
-    alone = torch.where(precision > LEAST_EVIDENCE, (x / variance - prior_mean * prior_precision) / precision,
-                        x)
-    alone = torch.minimum(torch.maximum(alone, prior_mean - FARTHEST), prior_mean + FARTHEST).clamp(0, 1)
+    def alone() -> Iterator[tuple[Tensor, Tensor, Tensor]]:
+        """In parts: membership, precision of the photos alone, and what they say."""
+        numbers = zip(*(each.split(STRIP, dim=1) for each in (x, variance, prior_mean, prior_precision)))
+        for member, (here, its, mean, known) in zip(members(), numbers):
+            precision = (1 / its - known).clamp_min(1e-3)
+            told = torch.where(precision > LEAST_EVIDENCE, (here / its - mean * known) / precision, here)
+            yield member, precision, torch.minimum(torch.maximum(told, mean - FARTHEST),
+                                                   mean + FARTHEST).clamp(0, 1)
+
     usual, rare = torch.tensor([TYPICAL.get(name, UNKNOWN) if photos else UNKNOWN for name in names]).T[...,
                                                                                                         None]
-    vague = (member.sum(dim=0) / max(photos, 1)).clamp_min(1) / rare.square()
-    tau2 = spread.square()[:, None]
+    count = sum((member.sum(dim=0) for member in members()), torch.zeros(()))
+    vague = (count / max(photos, 1)).clamp_min(1) / rare.square()
+    each: Tensor | None = None  # tau^2 of the basis materials, S x K
+
+    def tau2(member: Tensor) -> Tensor:
+        return spread.square()[:, None] if each is None else each @ member.T
+
     for _ in range(ROUNDS):
-        weight = 1 / (1 / precision + tau2)
+        weighted, weights, square, squares = (torch.zeros(()) for _ in range(4))
+        for member, precision, told in alone():
+            weight = 1 / (1 / precision + tau2(member))
+            weighted, weights = weighted + (weight * told) @ member, weights + weight @ member
         # A basis material of which no texel is any has weight 0, here and in the mean.
-        basis = ((weight * alone) @ member + vague * usual) / (weight @ member + vague).clamp_min(NOBODY)
-        mean = basis @ member.T
-        own = 1 / (precision + 1 / tau2)
-        off = own * (precision * alone + mean / tau2) - mean
-        square = off.square() + own
-        common = square.mean(dim=1, keepdim=True)
-        tau2 = (square @ member + COMMON * common) / (member.sum(dim=0) + COMMON) @ member.T
-    return Shared(mean, tau2.sqrt().clamp_min(LEAST_SPREAD), common[:, 0].sqrt().clamp_min(LEAST_SPREAD))
+        basis = (weighted + vague * usual) / (weights + vague).clamp_min(NOBODY)
+        for member, precision, told in alone():
+            mean, before = basis @ member.T, tau2(member)
+            own = 1 / (precision + 1 / before)
+            off = (own * (precision * told + mean / before) - mean).square() + own
+            square, squares = square + off @ member, squares + off.sum(dim=1, keepdim=True)
+        common = squares / x.shape[1]
+        each = (square + COMMON * common) / (count + COMMON)
+    mean = torch.cat([basis @ member.T for member in members()], dim=1)
+    tau = torch.cat([tau2(member) for member in members()], dim=1)
+    return Shared(mean, tau.sqrt().clamp_min(LEAST_SPREAD), common[:, 0].sqrt().clamp_min(LEAST_SPREAD))

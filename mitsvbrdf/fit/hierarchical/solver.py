@@ -23,7 +23,7 @@ from ...render.exclusive import Kept, using_mitsuba
 from ...render.needs import Needs, scene_needs
 from ...render.plugins import register
 from ...render.texels import from_torch, opaque, to_torch
-from ...views import Views
+from ...views import Views, strips
 from ..fixed_maps import unknown_but
 from .kernel import Kernel, tile_rows, tiles
 from .sensor_noise import noise_at
@@ -161,15 +161,21 @@ class TexelSolver:
 
     def svbrdf(self, x: Tensor) -> SVBRDF:
         """The material of unknowns U x R x R, with the fixed maps; a grey specular map is expanded."""
-        maps = dict(self.fixed)
-        for name, of in self.unknowns.slices.items():
-            value = x.permute(1, 2, 0)[..., of]
-            if name == "normal":
-                value = F.normalize(torch.cat((value, torch.ones_like(value[..., :1])), dim=-1), dim=-1)
-            elif name in COLOURS:
-                value = color.decode(value)
-            maps[name] = value.expand(*value.shape[:2], CHANNELS[self.bsdf][name])
-        return SVBRDF(self.bsdf, {name: maps[name] for name in CHANNELS[self.bsdf]})
+        side = x.shape[-1]
+        maps = {name: self.fixed[name] if name in self.fixed else x.new_empty(side, side, count)
+                for name, count in CHANNELS[self.bsdf].items()}
+        for rows in strips(side):
+            for name, of in self.unknowns.slices.items():
+                value = x[of, rows].permute(1, 2, 0)
+                if name == "normal":
+                    value = F.normalize(torch.cat((value, torch.ones_like(value[..., :1])), dim=-1), dim=-1)
+                maps[name][rows] = color.decode(value) if name in COLOURS else value
+        return SVBRDF(self.bsdf, maps)
+
+    def roughness(self, x: Tensor) -> Tensor:
+        """The roughness of unknowns U x R x R, R x R."""
+        known = self.fixed.get("roughness")
+        return x[self.unknowns.slices["roughness"]][0] if known is None else known[..., 0]
 
     def solve(self, observations: Observations, x: Tensor, damping: Tensor, mean: Tensor, precision: Tensor,
               low: Tensor, high: Tensor, iterations: int = 5) -> Solved:

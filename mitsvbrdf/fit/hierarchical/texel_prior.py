@@ -20,6 +20,7 @@ SHARED = ("specular", "metallic", "roughness")
 BOUNDS = {"roughness": ROUGHNESS_RANGE, "normal": (-3.0, 3.0), "specular": (0.05, 1.0)}  # else 0 to 1
 # Standard deviations of the first prior; that of the diffuse map stays.
 VAGUE = {"diffuse": 0.5, "base_color": 0.5, "specular": 0.1, "metallic": 0.3, "roughness": 0.1, "normal": 0.1}
+KEPT = 2**20  # texels up to which it is kept how alike they look
 LEAST_PRECISION = 1e-3  # added to that of the prior where variances are asked for
 FIXED = 1e-4  # standard deviation of a number that is not to move
 # How far a texel may leave its tied answer at full size, in units of config.detail_spread: standard
@@ -94,10 +95,6 @@ class TexelEstimate(NamedTuple):
         """Planes for :meth:`put`, of which nothing is known."""
         return self._replace(**{name: torch.empty_like(getattr(self, name)) for name in self._changed})
 
-    def copied(self) -> TexelEstimate:
-        """Planes for :meth:`put` that hold what these do."""
-        return self._replace(**{name: getattr(self, name).clone() for name in self._changed})
-
 
 class TexelPrior:
     """Priors of texels: vague ones, those that look-alikes give, and those around a tied answer.
@@ -135,39 +132,37 @@ class TexelPrior:
         spread = torch.tensor([VAGUE[name] for name in self.names])
         return TexelEstimate(x, x.clone(), self._precision(x, VAGUE.__getitem__), spread)
 
-    def share(self, answer: TexelEstimate, variance: Tensor, member: Tensor, photos: int, tied: bool,
+    def share(self, answer: TexelEstimate, variance: Tensor, scale: Scale, photos: int, tied: bool,
               corrected: Callable[[Tensor], Tensor] = Tensor.contiguous) -> TexelEstimate:
         """Look-alikes set the prior of specular and roughness; the relief seen sets that of normals.
 
         Args:
             answer: with the prior so far.
             variance: of the unknowns, given photos and prior, U x R x R.
-            member: how much of each basis material texels are, M x K.
+            scale: of the texels.
             photos: their number.
             tied: whether they are those of a phone.
             corrected: what is made of the shared unknowns' means, S x R x R.
         """
-        mean, precision, spread = answer.mean.clone(), answer.precision.clone(), answer.spread
+        spread, found = answer.spread, None
         if len(self.shared):
-            x, unsure, *prior = (t[self.shared].flatten(1)
-                                 for t in (answer.x, variance, answer.mean, answer.precision))
-            found, tau, spread = shared(self.names, x, unsure, prior[0], prior[1], member, answer.spread,
-                                        0 if tied else photos)
-            mean[self.shared] = corrected(found.reshape(-1, *answer.x.shape[1:]))
-            nearest = tau.clamp_max(self.config.spread) if tied else tau
-            precision[self.shared] = (nearest**-2.0).reshape(-1, *answer.x.shape[1:])
-        answer = answer._replace(mean=mean, precision=precision, spread=spread)
-        return self.with_relief(answer, variance, tied)
-
-    def with_relief(self, answer: TexelEstimate, variance: Tensor, tied: bool) -> TexelEstimate:
-        """The relief seen sets the prior of normals; that of a phone's photos is stated."""
+            of = slice(int(self.shared[0]), int(self.shared[-1]) + 1)
+            x, unsure, mean, precision = (t[of].flatten(1) for t in (answer.x, variance, answer.mean,
+                                                                     answer.precision))
+            found = shared(self.names, x, unsure, mean, precision, scale.members(scale.texels <= KEPT),
+                           spread, 0 if tied else photos)
+            spread = found.spread
         mean, precision = answer.mean.clone(), answer.precision.clone()
+        if found:
+            mean[self.shared] = corrected(found.mean.reshape(-1, *answer.x.shape[1:]))
+            nearest = found.tau.clamp_max(self.config.spread) if tied else found.tau
+            precision[self.shared] = (nearest**-2.0).reshape(-1, *answer.x.shape[1:])
         if len(self.slopes):
             relief = (answer.x[self.slopes].square()
                       + variance[self.slopes]).mean().sqrt().clamp_min(LEAST_SPREAD)
             mean[self.slopes] = 0
             precision[self.slopes] = (self.config.relief if tied else float(relief)) ** -2.0
-        return answer._replace(mean=mean, precision=precision)
+        return answer._replace(mean=mean, precision=precision, spread=spread)
 
     def enlarge(self, answer: TexelEstimate, coarse: Scale, fine: Scale, tied: bool) -> TexelEstimate:
         """An estimate at full size, where tied texels are set free.

@@ -10,6 +10,7 @@ from helpers.hierarchical_fits import method_of
 from mitsvbrdf.fit.hierarchical import kernel
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
 from mitsvbrdf.fit.hierarchical.stages import Stage
+from mitsvbrdf.fit.hierarchical.texel_prior import TexelEstimate
 from mitsvbrdf.material.made import make_material
 
 SIDE = 16
@@ -51,7 +52,8 @@ def test_a_texel_that_was_turned_away_comes_back(fine):
     spoilt, its = scoring.scored(answer._replace(x=x), 0)
     assert torch.equal(scoring.refused(spoilt), torch.cat((refused, away)).unique())
 
-    found, less = scoring.searched_further(spoilt, its, lobes.further_starts)
+    found, less = scoring.searched_further(TexelEstimate(*map(torch.clone, spoilt)), its.clone(),
+                                           lobes.further_starts)
     assert not torch.isin(away, scoring.refused(found)).any()
     assert (less <= its).all()
     alone = torch.ones(SIDE**2, dtype=torch.bool).index_fill(0, torch.cat((refused, away)), False)

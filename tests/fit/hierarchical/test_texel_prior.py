@@ -75,7 +75,7 @@ def test_independent_weakens_a_cubic_trend_and_leaves_the_pattern(capture, phone
     angle = coverage_angle(capture.views, SIDE)
     pattern = torch.rand(2, SIDE, SIDE, generator=torch.Generator().manual_seed(0), dtype=torch.float64) * 0.2
     # has no trend at all
-    pattern = pattern - cubic(angle.flatten(), pattern.flatten(1)).reshape(pattern.shape)
+    pattern = pattern - torch.cat([*cubic(angle.flatten(), pattern.flatten(1))], 1).reshape(pattern.shape)
     a = angle / angle.max()
     trend = torch.stack((0.3 - 0.8 * a + 0.4 * a**2, 0.1 + 0.6 * a**3))
     given = (pattern + trend).float()

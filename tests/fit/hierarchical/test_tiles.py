@@ -17,9 +17,11 @@ from mitsvbrdf.fit.hierarchical.sensor_noise import noise_at
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
 from mitsvbrdf.fit.hierarchical.texel_prior import TexelEstimate
 from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.resample import area_averaged, averaged_rows, enlarged_rows, resized, sampled
 from mitsvbrdf.measure import rerender
 from mitsvbrdf.measure.metrics import photo_rmse
 from mitsvbrdf.measure.rerender import rerender_errors
+from mitsvbrdf.render import texels
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.views import coverage_angle, geometry, half_angles
 
@@ -83,6 +85,16 @@ def test_strips_of_rows_are_rows():
         assert torch.equal(half_angles(GRID, SIDE, rows), angles[:, rows])
 
 
+def test_rows_of_resampled_images_are_rows():
+    fine, coarse = some_photos(2), some_photos(2)[:, :4, :4]
+    for side in (3, 4, SIDE):
+        assert torch.equal(averaged_rows(lambda rows: fine[:, rows], SIDE, side), area_averaged(fine, side))
+    for side in (4, 8, 11):
+        rows = [enlarged_rows(coarse, side, slice(k, min(k + 3, side))) for k in range(0, side, 3)]
+        torch.testing.assert_close(torch.cat(rows, dim=1), resized(coarse, side), rtol=0, atol=1e-6)
+    assert sampled(fine[:1].movedim(-1, 1), 1).untyped_storage().nbytes() == 3 * 4  # it keeps nothing else
+
+
 def test_errors_of_strips_and_of_views_one_by_one(monkeypatch):
     svbrdf, renderer = make_material("leather", SIDE), AnalyticRenderer()
     measured = some_photos()[..., 0] > 0.3
@@ -137,7 +149,8 @@ def test_photos_as_stored_give_the_same_fit(exact, monkeypatch):
     shots, ends = photos_of(make_material("inlay", 16)), []
     stored = (shots.photos * 255).round().byte()
     for photos, tile in ((stored.float() / 255, 16 * 16), (stored, 5 * 16)):
-        monkeypatch.setattr(kernel, "TILE", tile)
+        for module in (kernel, texels):
+            monkeypatch.setattr(module, "TILE", tile)
         ends.append(fit_svbrdf(replace(shots, photos=photos), MITSUBA, HierarchicalConfig(budget=1e4)))
     first, second = ends
     assert all(torch.equal(first.svbrdf[name], second.svbrdf[name]) for name in first.svbrdf.maps)
