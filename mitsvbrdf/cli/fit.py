@@ -35,7 +35,7 @@ Advanced = Annotated[bool, arg(help="With --help: show all options, also those f
 SHOWN = ("bsdf", "budget", "iterations", "seed", "fix", "grey_specular", "calibrate", "flash_offset", "exact",
          "noise", "preset", "pretrained")
 # Bytes a texel, and more for each photo: of memory at the peak, and on disk; measured at 2048 px.
-HELD, WRITTEN = (400, 12), (200, 20)
+HELD, WRITTEN = (200, 12), (200, 20)
 THREE_WAYS = "--calibrate", "--exact"  # on, off or left to the fit
 
 

@@ -87,6 +87,7 @@ class Loop:
                     self.save()
                     saved = time.perf_counter()
         why = "interrupted" if stop else why  # Ctrl-C may have come since we looked
+        self.method.ended = True
         off_beat = self.iteration % self.beat > 0 or not self.whole
         if off_beat:
             good, losses, seen = self._checked(good, losses, whole=True)

@@ -28,6 +28,8 @@ class Method(ABC, Generic[Config]):
     """Steps between measurements: a fixed count, so that a resumed run keeps the same best result."""
     latest_is_best = False
     """Whether the result is the last state, not the one that explains its photos best."""
+    ended = False
+    """Whether no step follows: only the result is asked for."""
 
     def __init__(self, task: FitTask[Config]) -> None:
         self.capture, self.renderer, self.config = task.capture, task.renderer, task.config

@@ -21,7 +21,7 @@ from torch import Tensor
 from ...capture import Capture
 from ...io.profile import profiled
 from ...material.maps import SVBRDF
-from ...material.resample import enlarged
+from ...material.resample import enlarged, sampled
 from ...render import make_renderer
 from ...render.needs import Needs, Omitted
 from ...views import Views, strips
@@ -43,6 +43,8 @@ from .starts import other_starts
 from .texel_prior import TexelEstimate, TexelPrior
 from .time_budget import FAR_STEPS, LAST_STEPS, OTHER_STEPS, ROUND_STEPS, STEPS, TimeBudget
 from .view_corrections import LEVELLED, REFINED, ViewCorrections
+
+SHOWN = 256  # texels a side that a preview has, or somewhat more
 
 
 class Hierarchical(Method[HierarchicalConfig]):
@@ -202,11 +204,14 @@ class Hierarchical(Method[HierarchicalConfig]):
             with profiled("views"), self.budget.timed("views", work):
                 if sloped and stage != Stage.FINE:
                     self.answer, _ = self.prior.levelled(self.answer)
-                self.corrections.refine(self.preview(), self.scale.capture, self.engine)
+                self.corrections.refine(self.scale.solver.svbrdf(self.answer.x), self.scale.capture,
+                                        self.engine)
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The present maps at full size, of tied texels with the freedom that they have in the end."""
         x = self.real.close(self.answer, self.scale) if self.stages.tied else self.answer.x
+        if self.ended:
+            self.real.closed = None
         x = enlarged(x, self.capture.resolution) if x.shape[-1] < self.capture.resolution else x
         views, solver = self.corrections.applied(self.views), self.scales.solver(x.shape[-1])
         return solver.svbrdf(x), views
@@ -219,8 +224,9 @@ class Hierarchical(Method[HierarchicalConfig]):
         return self.preview().resized(sharp.resolution), self.corrections.applied(self.views), sharp
 
     def preview(self) -> SVBRDF:
-        """The present answer as it is, at the size of the present stage."""
-        return self.scale.solver.svbrdf(self.answer.x)
+        """The present answer as it is, of large ones every k-th texel."""
+        x = sampled(self.answer.x, SHOWN)
+        return self.scales.solver(x.shape[-1]).svbrdf(x)
 
     @property
     def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:

@@ -64,10 +64,10 @@ class Scale:
         look = self.look
         return lambda: (membership(part, self.basis, self.width) for part in look.split(STRIP))
 
-    def of_basis(self, values: Tensor) -> Tensor:
-        """Numbers of the basis materials, S x K, as the texels have them by their look, S x R x R."""
-        side = self.capture.resolution
-        return torch.cat([values @ part.T for part in self.members()()], dim=1).reshape(-1, side, side)
+    def add_basis(self, planes: Tensor, values: Tensor) -> None:
+        """Add numbers of the basis materials, S x K, to those of the texels, S x M, by their look."""
+        for here, part in zip(planes.split(STRIP, dim=1), self.members()()):
+            here += values @ part.T
 
 
 class Scales:

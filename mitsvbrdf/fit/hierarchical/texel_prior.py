@@ -172,16 +172,20 @@ class TexelPrior:
         side = fine.capture.resolution
         if side == coarse.capture.resolution and fine.capture is coarse.capture:
             return self.free(answer) if tied else answer
-        x = enlarged(answer.x, side)
-        if tied and len(self.shared):
-            own = answer.x[self.shared]
+        if not tied:
+            x, mean, precision = (enlarged(each, side) for each in answer[:3])
+            return TexelEstimate(x, mean, precision, answer.spread)
+        x, shared = answer.x, self.shared
+        if len(shared):
+            own = x[shared]
             alike = own.flatten(1) @ coarse.member / coarse.member.sum(dim=0).clamp_min(NOBODY)
-            off = own - (alike @ coarse.member.T).reshape(own.shape)
-            x[self.shared] = enlarged(off, side) + fine.of_basis(alike)
-            x[self.shared] = self.bounded(x[self.shared], self.shared)
-        if tied:
-            return self.free(answer._replace(x=x))
-        return TexelEstimate(x, enlarged(answer.mean, side), enlarged(answer.precision, side), answer.spread)
+            x = x.index_copy(0, shared, own - (alike @ coarse.member.T).reshape(own.shape))
+        x = enlarged(x, side)
+        if len(shared):
+            fine.add_basis(x.flatten(1)[int(shared[0]):int(shared[-1]) + 1], alike)
+            for k in shared:
+                x[k].clamp_(self.low[k], self.high[k])
+        return self.free(answer._replace(x=x))
 
     def free(self, answer: TexelEstimate) -> TexelEstimate:
         """Let every texel leave its tied answer, which becomes its prior; the diffuse map as it likes."""
@@ -192,8 +196,8 @@ class TexelPrior:
         """Set the spread around the tied estimate to the one seen (expectation-maximisation)."""
         each = answer.precision[:, 0, 0].clone()
         for name in sorted(set(self.unknowns.shapes) & set(FREEDOM)):
-            of = self.unknowns.of(name)
-            went = ((answer.x[of] - answer.mean[of]).square() + variance[of]).mean().sqrt()
+            of = self.unknowns.slices[name]
+            went = (answer.x[of] - answer.mean[of]).square_().add_(variance[of]).mean().sqrt()
             each[of] = float(went.clamp(*self._freedom(name)[1:])) ** -2.0
         return answer._replace(precision=each[:, None, None].expand_as(answer.x))
 
