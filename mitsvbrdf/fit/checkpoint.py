@@ -146,7 +146,7 @@ def digest(*tensors: Tensor) -> str:
     """SHA-256 of the values of tensors."""
     found = hashlib.sha256()
     for tensor in tensors:
-        found.update(tensor.numpy().tobytes())
+        found.update(tensor.contiguous().numpy().data)
     return found.hexdigest()
 
 
