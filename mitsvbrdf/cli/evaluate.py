@@ -82,8 +82,10 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
                 say(f"photo {name}: {_moved(view['change'])}")
         else:
             del found["refined"]  # not asked for
-        found["burn_in"] = burn_in(svbrdf, fit.known_views or shots.views)
-        found["local_burn_in"] = local_burn_in(svbrdf, fit.known_views or shots.views)
+        seen_from = fit.known_views or shots.views
+        del photos, shots  # large ones, before what burn-in needs
+        found["burn_in"] = burn_in(svbrdf, seen_from)
+        found["local_burn_in"] = local_burn_in(svbrdf, seen_from)
         print_numbers("Burn-in (0 is best)", found["burn_in"])
         print_numbers("Local burn-in (around 0 is best)", found["local_burn_in"])
     if json_file:
