@@ -200,15 +200,13 @@ are predicted no better with it.
 256 px, stated view 1.2 sides above; the published maps are of the publishers' own photo. The rest of ten \
 materials does not repeat itself by the test of its photo.
 
-| one flash photo | what it does | here |
+| one flash photo of a stationary material | what it does | here |
 | --- | --- | --- |
-| Aittala 2015 | aligns patches of a photo of a stationary material; a second photo without flash is the guide | \
-half angles instead of patches; no second photo |
-| Aittala 2016 | matches features of a trained network between crops of photo and renderings | distributions of \
-lightness in rings of half angle; no network |
-| Zhao 2020 | a GAN on crops of one photo; guessed diffuse map | classes of look start it; the game is left \
-out, as it kept no change |
-| Wen 2022 | nine photos, a first stage on one picture | the default solves nine; one photo has its own way |
+| Aittala 2015 | matches patches to a master tile, guided by a second photo without flash | \
+rings of equal half angle instead of patches; one photo |
+| Aittala 2016 | matches features of a trained network between crops of photo and renderings | \
+lightness in these rings; no network |
+| Zhao 2020 | a GAN on crops of the photo, and a guessed diffuse map | a likelihood of few looks; no game |
 
 ## Captures
 

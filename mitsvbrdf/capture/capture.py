@@ -180,8 +180,9 @@ class Capture:
 
     def through(self, transfer: color.Transfer | None) -> Capture:
         """The photos through the curve that a fit found, if its transfer function has their response."""
-        same = transfer is not None and color.parts(transfer)[0] == color.parts(self.transfer)[0]
-        return self.but(transfer=transfer) if same else self
+        if transfer in (None, self.transfer) or color.parts(transfer)[0] != color.parts(self.transfer)[0]:
+            return self
+        return self.but(transfer=transfer)
 
     @property
     def usable(self) -> Tensor:
