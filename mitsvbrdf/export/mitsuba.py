@@ -15,7 +15,7 @@ from ..io.entry import entry
 from ..material.maps import SVBRDF, Bsdf
 from ..render.bsdf import plugin, slot_values
 from ..render.needs import Needs
-from ..views import Views
+from ..views import Views, strips
 from .textures import DEFAULTS, LINEAR, NORMALS, NOTES, Export, ExportSettings, Texture
 
 # Beside the package in a checkout, inside it when installed from a wheel.
@@ -41,9 +41,9 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views, repeats: bool = F
     out, svbrdf = Path(out), svbrdf.detach().to(torch.float32)
     parameters = view_parameters(views, svbrdf.resolution)
     # to be lit and looked at from anywhere
-    slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), Needs(), stock=True)
-    images.write_all([partial(images.write_exr, out / "scene" / f"{slot}.exr", value)
-                      for slot, value in slots.items()])
+    parts = [_slots(svbrdf, rows) for rows in strips(svbrdf.resolution)]
+    images.write_all([partial(images.write_exr, out / "scene" / f"{slot}.exr",
+                              torch.cat([part.pop(slot) for part in parts])) for slot in list(parts[0])])
 
     comments = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
     tree = ET.parse(SCENES / "patch.xml", comments)
@@ -64,11 +64,17 @@ def write_mitsuba(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAU
                   views: Views) -> Export:
     """The scene for Mitsuba 3; see :func:`write_scene`."""
     write_scene(folder, svbrdf, views, settings.repeats)
-    slots = slot_values(svbrdf.bsdf, dict(svbrdf.maps), Needs(), stock=True)
+    slots = _slots(svbrdf, slice(0, 1))
     normals, holds = {"normal": NORMALS["gl"]}, NOTES["mitsuba"]
     textures = tuple(Texture(f"scene/{slot}.exr", holds.get(slot, slot), LINEAR, 32, normals.get(slot))
                      for slot in slots)
     return Export(("scene.xml",), textures, (LIGHT_NOTE,))
+
+
+def _slots(svbrdf: SVBRDF, rows: slice) -> dict[str, torch.Tensor]:
+    """What the scene's textures hold in some rows."""
+    maps = {name: value[rows] for name, value in svbrdf.maps.items()}
+    return slot_values(svbrdf.bsdf, maps, Needs(), stock=True)
 
 
 def _material(bsdf: Bsdf, repeats: bool) -> dict:
