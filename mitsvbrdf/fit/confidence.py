@@ -67,18 +67,19 @@ def deviations(svbrdf: SVBRDF, views: Views, task: FitTask,
     own = OwnPhotos(svbrdf.map(some), sampled, task.renderer,
                     {name: some(value) for name, value in fixed.items()}, task.config.grey_specular)
     mixture, shared = own.mixture(), own.solver.unknowns.of(*SHARED)
-    alone, alike, wrong = _stated(own, mixture), Deviations(), own.refused
+    alone, alike, wrong, values = _stated(own, mixture), Deviations(), own.refused, own.values
     if basis is not None and len(shared):
         member = membership(appearance_of(sampled, some(task.guess)), basis, task.config.similarity)
         alike = _stated(own, with_look_alikes(mixture, shared, member, len(capture),
                                               own.answer.flatten(1).T))
     if step_of(side, FULL) < every.step:
         solver = TexelSolver(svbrdf.bsdf, fixed, own.solver.grey_specular, own.solver.variant)
-        (here, _), (there, wrong) = (_by_curvature(svbrdf, capture.but(views=views), own, solver, texels)
-                                     for texels in (every, _every(side, FULL)))
+        (here, *_), (there, wrong, values) = (
+            _by_curvature(svbrdf, capture.but(views=views), own, solver, texels)
+            for texels in (every, _every(side, FULL)))
         alone, alike = (_spread(found, here, there) for found in (alone, alike))
-    return {name: torch.where(wrong[..., None], value.clamp_min(DETERMINED), value)
-            for name, value in alone.items()}, alike
+    least = (wrong * DETERMINED).where(values > 0, UNKNOWN)[..., None]
+    return {name: value.maximum(least) for name, value in alone.items()}, alike
 
 
 def _every(side: int, most: int) -> slice:
@@ -95,8 +96,8 @@ def _spread(found: Deviations, here: Deviations, there: Deviations) -> Deviation
 
 
 def _by_curvature(svbrdf: SVBRDF, capture: Capture, own: OwnPhotos, solver: TexelSolver,
-                  every: slice) -> tuple[Deviations, Tensor]:
-    """Deviations of every k-th texel by the curvature alone, r x r x C; whether its photos refuse the answer.
+                  every: slice) -> tuple[Deviations, Tensor, Tensor]:
+    """Deviations of every k-th texel by the curvature alone; whether photos refuse its answer; their values.
 
     The noise of its pixels is that of as bright ones of ``own``.
     """
@@ -114,7 +115,7 @@ def _by_curvature(svbrdf: SVBRDF, capture: Capture, own: OwnPhotos, solver: Texe
     noise2 = (missed + len(x)) / values.clamp_min(len(x))
     variance = solver.variances(replace(photos, weights=weights / noise2), lifted(x, own.names),
                                 vague(own.names)[:, None, None].expand_as(x))
-    return _by_map(own, variance.sqrt().movedim(0, -1), x.movedim(0, -1)), refused(missed, values)
+    return _by_map(own, variance.sqrt().movedim(0, -1), x.movedim(0, -1)), refused(missed, values), values
 
 
 def _stated(own: OwnPhotos, mixture: Mixture) -> Deviations:

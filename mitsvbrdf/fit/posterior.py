@@ -121,7 +121,7 @@ class OwnPhotos:
         level = capture.photos.mean(dim=-1)
         parts = torch.linspace(0, 1, BRIGHTNESSES + 1)[1:-1]
         shown = level if capture.measured is None else level[capture.measured]
-        steps = shown.flatten().quantile(parts)
+        steps = shown.flatten().quantile(parts) if shown.numel() else parts
         of = torch.bucketize(level, steps).flatten()
         square, count = (torch.zeros(BRIGHTNESSES).index_add_(0, of, value.sum(dim=-1).flatten())
                          for value in (capture.usable * error.square(), capture.usable * free[..., None]))

@@ -241,3 +241,18 @@ def test_every_texel_of_large_maps_is_about_as_open_as_if_its_valley_were_follow
         ratio = found[name] / followed
         assert 0.9 < float(ratio.median()) < 1.15, name
         assert float(ratio.quantile(0.05)) > 0.5, name
+
+
+@pytest.mark.parametrize("side", [16, 80])  # each texel's valley is followed, and some
+def test_a_texel_that_no_photo_shows_is_as_open_as_its_range(side):
+    truth = make_material("inlay", side)
+    hidden = torch.zeros(9, side, side, dtype=torch.bool)
+    hidden[:, 3:9, 3:9] = True
+    shots = photos_of(truth, GRID)
+    found = stated(truth, Capture(shots.photos, GRID, shots.transfer, measured=~hidden), grey=True)
+    for value in found.values():
+        assert (value[4:8, 4:8] > 0.9999 * UNKNOWN).all() and float(value[10:].median()) < UNKNOWN / 2
+    nearly = torch.zeros_like(hidden)
+    nearly[:, 0, 0] = True
+    assert (stated(truth, Capture(shots.photos, GRID, shots.transfer, measured=nearly))["normal"][1:]
+            > 0.9999 * UNKNOWN).all()
