@@ -34,7 +34,8 @@ Advanced = Annotated[bool, arg(help="With --help: show all options, also those f
 # Settings of methods that help shows without --advanced.
 SHOWN = ("bsdf", "budget", "iterations", "seed", "fix", "grey_specular", "calibrate", "flash_offset", "exact",
          "noise", "preset", "pretrained")
-# Bytes a texel, and more for each photo: of memory at the peak, and on disk; measured at 2048 px.
+# Bytes a texel, and more for each photo: of memory at the peak (real photos, measured at 2048 and 4096 px),
+# and on disk.
 HELD, WRITTEN = (200, 12), (200, 20)
 THREE_WAYS = "--calibrate", "--exact"  # on, off or left to the fit
 

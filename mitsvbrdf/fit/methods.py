@@ -49,5 +49,7 @@ def make_method(task: FitTask[Config]) -> Method:
     Raises:
         ConfigError: they belong to none.
     """
-    entry = ONE_PHOTO if task.repeats and task.repeats.stationary else METHODS[method_name(task.config)]
+    entry = METHODS[method_name(task.config)]
+    if isinstance(task.config, HierarchicalConfig) and task.repeats and task.repeats.stationary:
+        entry = ONE_PHOTO
     return getattr(importlib.import_module(entry.module, __package__), entry.name)(task)

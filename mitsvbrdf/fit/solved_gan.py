@@ -35,6 +35,7 @@ from .generator.detail import DetailTraining
 from .generator.gan import Gan
 from .hierarchical import Hierarchical
 from .method import Method
+from .methods import make_method
 from .task import FitTask
 
 BLOCKS = 16  # patches along a side, of each of which one photo is held out
@@ -74,12 +75,12 @@ class SolvedGan(Method[GanConfig]):
         self.kept: dict[str, Tensor] = {}  # the change that helped most, of the maps it helped
         self.gain = 0.0  # of squared errors of the patches
 
-    def _solver(self, task: FitTask[GanConfig], budget: float | None = None) -> Hierarchical:
+    def _solver(self, task: FitTask[GanConfig], budget: float | None = None) -> Method:
         own = self.config
         config = HierarchicalConfig(bsdf=own.bsdf, guess=own.guess, seed=own.seed, fix=own.fix,
                                     grey_specular=own.grey_specular, flash_offset=own.flash_offset,
                                     budget=budget)
-        return Hierarchical(FitTask(task.capture, task.renderer, config, None, task.estimated))
+        return make_method(FitTask(task.capture, task.renderer, config, None, task.estimated))
 
     def step(self, progress: float) -> dict[str, float]:
         """A round of the solver, or a step of the game."""
@@ -117,6 +118,7 @@ class SolvedGan(Method[GanConfig]):
         elif not solver.done:
             self.stage = ENDED  # an answer that is not settled would gain by any change
         else:
+            assert isinstance(solver, Hierarchical)  # of more photos than one
             with profiled("uncertainty"):
                 spread = deviations(*answer, solver.task, solver.scales.basis)[0]
             self._begin_game(Bounded.of(*answer, spread, DetailConfig.reach, DetailConfig.certain))

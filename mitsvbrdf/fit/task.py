@@ -18,6 +18,7 @@ from ..render import Renderer
 from . import losses
 from .config import FitConfig, HierarchicalConfig
 from .fixed_maps import fixed_maps
+from .gan_config import GanConfig
 from .repeats import Repeats, repeats
 
 Config = TypeVar("Config", bound=FitConfig)
@@ -67,14 +68,19 @@ class FitTask(Generic[Config]):
     def repeats(self) -> Repeats | None:
         """Whether one photo shows a material that repeats itself; None where that is not asked.
 
-        Only `hierarchical` asks, where all maps of the field are fitted to a whole photo.
+        Only `hierarchical` asks, and `gan` that begins with it, where all maps of the field are fitted to a
+        whole photo.
         """
-        config = self.config
-        if not isinstance(config, HierarchicalConfig) or config.fix or config.grey_specular:
+        config, asked = self.config, None
+        if isinstance(config, HierarchicalConfig):
+            asked = config.stationary
+        elif not isinstance(config, GanConfig) or config.begins != "solved":
+            return None
+        if config.fix or config.grey_specular:
             return None
         if len(self.capture) > 1 or self.capture.measured is not None or config.bsdf != "roughconductor":
             return None
-        return repeats(self.capture, config.stationary)
+        return repeats(self.capture, asked)
 
     @cached_property
     def views_known(self) -> bool:

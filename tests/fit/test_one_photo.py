@@ -8,7 +8,7 @@ import torch
 
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.color import to_display
-from mitsvbrdf.fit import DirectConfig, FitTask, HierarchicalConfig, fit_svbrdf, make_method
+from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HierarchicalConfig, fit_svbrdf, make_method
 from mitsvbrdf.fit.look_classes import LookClasses, Pixels, Posterior, material
 from mitsvbrdf.fit.one_photo import OnePhoto, nodes
 from mitsvbrdf.fit.repeats import repeats, unlike
@@ -85,6 +85,18 @@ def test_asked_for_or_not_the_method_follows(tmp_path):
     assert not FitTask(photo, renderer, HierarchicalConfig(stationary=False)).repeats.stationary
     for config in (HierarchicalConfig(fix=("roughness=0.5",)), HierarchicalConfig(bsdf="principled")):
         assert FitTask(photo, renderer, config).repeats is None
+
+
+def test_gan_has_no_game_of_one_photo_and_ends_with_its_looks(monkeypatch):
+    monkeypatch.setattr("mitsvbrdf.fit.one_photo.TRIED", 2)
+    monkeypatch.setattr("mitsvbrdf.fit.one_photo.ITERATIONS", 2)
+    random = torch.rand(32, 32, generator=torch.Generator().manual_seed(0))
+    photo, renderer = photo_of(0.2 + 0.3 * random), make_renderer("mitsuba")
+    looks, gan = (fit_svbrdf(photo, renderer, config(iterations=4))
+                  for config in (HierarchicalConfig, GanConfig))
+    assert all(torch.equal(value, gan.svbrdf[name]) for name, value in looks.svbrdf.maps.items())
+    assert gan.record["repeats"] == looks.record["repeats"] and gan.method == "gan"
+    assert any(each.what == "the game" for each in gan.omitted)
 
 
 @pytest.mark.parametrize("config", [HierarchicalConfig(stationary=True, iterations=1),
