@@ -17,7 +17,7 @@ from ..io.images import linear_writes
 from ..io.progress import say
 from ..io.results import output_folder
 from ..material.map_files import DETAIL, save_maps
-from ..material.resample import enlarged
+from ..material.resample import averaged_rows, enlarged
 from ..measure.rerender import batches
 from .fit_page import check_apart, keep_photos, write_report
 from .header import material_name
@@ -74,17 +74,24 @@ def write_fit_files(result: Fit, capture: Capture, out: Path, command: dict | No
         _write_pages(result, written, capture, out, held_out)
 
 
-def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_out: Capture | None) -> None:
-    """What people look at, and the scene."""
-    images.write_all(linear_writes(out / "guess/diffuse", result.guess, "srgb"))
+def _write_renderings(result: Fit, capture: Capture, out: Path) -> Tensor:
+    """The photos re-rendered, in files; given back for the sheet, N x S x S x 3 display values."""
     small = list[Tensor]()
     for part in batches(len(capture), result.svbrdf.resolution):
         writes = []
         for row in part:
             image = result.rerendering(row)
             writes += linear_writes(out / f"rerendered/{capture.names[row]}", image, capture.transfer)
-            small.append(at_most(color.to_display(image, capture.transfer), SHEET))
+            small.append(averaged_rows(lambda rows, of=image: color.to_display(of[rows], capture.transfer),
+                                       len(image), min(SHEET, len(image))))
         images.write_all(writes)
+    return torch.stack(small)
+
+
+def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_out: Capture | None) -> None:
+    """What people look at, and the scene."""
+    images.write_all(linear_writes(out / "guess/diffuse", result.guess, "srgb"))
+    small = _write_renderings(result, capture, out)
     title = f"{material_name(result)}: {result.method}, {result.svbrdf.bsdf}"
     sure = result.record["confidence"]
     remarks = {name: f"{sure[name]['determined_share']:.0%} determined" if name in sure else "held fixed"
@@ -92,7 +99,7 @@ def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_ou
     title = title.encode(errors="replace").decode()  # of a folder whose name is not UTF-8
     write_sheet(out / "sheet.png", result.svbrdf.resized(min(SHEET, result.svbrdf.resolution)),
                 torch.stack([at_most(capture.photo(row), SHEET) for row in range(len(capture))]),
-                torch.stack(small), rmse=result.rerender_rmse, per_photo=result.per_photo,
+                small, rmse=result.rerender_rmse, per_photo=result.per_photo,
                 guess=at_most(result.guess, SHEET),
                 names=capture.names, title=title, remarks=remarks)
     write_scene(out, result.svbrdf, result.views)
