@@ -82,10 +82,15 @@ def _write_renderings(result: Fit, capture: Capture, out: Path) -> Tensor:
         for row in part:
             image = result.rerendering(row)
             writes += linear_writes(out / f"rerendered/{capture.names[row]}", image, capture.transfer)
-            small.append(averaged_rows(lambda rows, of=image: color.to_display(of[rows], capture.transfer),
-                                       len(image), min(SHEET, len(image))))
+            small.append(_shown(image, capture.transfer))
         images.write_all(writes)
     return torch.stack(small)
+
+
+def _shown(image: Tensor, transfer: color.Transfer) -> Tensor:
+    """An image as the sheet shows it, by rows."""
+    return averaged_rows(lambda rows: color.to_display(image[rows], transfer), len(image),
+                         min(SHEET, len(image)))
 
 
 def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_out: Capture | None) -> None:
