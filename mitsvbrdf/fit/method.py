@@ -69,6 +69,11 @@ class Method(ABC, Generic[Config]):
         """Whether going on would change nothing."""
         return False
 
+    @property
+    def cut_short(self) -> bool:
+        """Whether a part that others follow has not settled."""
+        return False
+
     def glimpse(self) -> tuple[SVBRDF, Views, Capture] | None:
         """A small sample of :meth:`estimate` with its photos, while the whole of it is work; else None."""
         return None

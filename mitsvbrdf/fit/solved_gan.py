@@ -184,6 +184,11 @@ class SolvedGan(Method[GanConfig]):
         """Whether no game is played."""
         return self.stage == ENDED
 
+    @property
+    def cut_short(self) -> bool:
+        """Whether the answer of all photos has not settled."""
+        return not self.solvers[0].done
+
     def cut_step(self) -> None:
         """Halve the step sizes of the game."""
         if self.game:

@@ -32,6 +32,7 @@ ASIDE = 0.05  # patch sides from the middle that count as beside it
 LOOKED_AT = 512  # px a side that tell of the photos by themselves
 SAMPLED = 256  # px a side that tell of gains
 COARSE = 64  # px at which photos are compared; the closest two of the eighteen are 4.6 / 255 apart
+UNSETTLED = "the fit ended before it had settled: give more seconds or iterations"
 WORSE = 2.5  # times the median error of a photo; 1.1 to 2.3
 POOR = 0.1  # re-rendering RMSE
 BURNT_IN = 0.3  # share of a map that lies as the highlights do; ten had up to 0.18, two of wood 0.4 to 0.74
@@ -176,4 +177,4 @@ def _cut_short(result: Fit) -> Iterator[str]:
         yield "no step was made, so the maps are where the fit starts: give more seconds"
     elif isinstance(result.config, HierarchicalConfig) and result.stopped in ("budget", "iterations",
                                                                               "interrupted"):
-        yield "the fit ended before it had settled: give more seconds or iterations"
+        yield UNSETTLED

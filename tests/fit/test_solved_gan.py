@@ -5,12 +5,13 @@ import torch
 from helpers import ANALYTIC, MITSUBA, photos_of
 
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.fit import FitTask, GanConfig, fit_svbrdf, make_method
+from mitsvbrdf.fit import FitTask, GanConfig, HierarchicalConfig, fit_svbrdf, make_method
 from mitsvbrdf.fit.detail_config import DetailConfig
 from mitsvbrdf.fit.generator.bounded import Bounded
 from mitsvbrdf.fit.generator.gan import Gan
 from mitsvbrdf.fit.options import config_of
 from mitsvbrdf.fit.solved_gan import ENDED, GAME, SolvedGan, spared
+from mitsvbrdf.fit.warnings import UNSETTLED
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, numbers_of
 from mitsvbrdf.measure.metrics import map_rmse, photo_rmse
@@ -139,6 +140,14 @@ def test_maps_that_are_not_settled_without_the_patches_are_no_start_of_a_game(ph
     method.solvers.append(method.solvers[0])  # not done
     method.step(0.76)
     assert method.done and "no time was left" in method.omitted[-1].why
+
+
+@pytest.mark.parametrize(("longest", "config", "stopped"), [
+    (1e-9, GanConfig(budget=100.0), "budget"), (120.0, GanConfig(iterations=2), "iterations")])
+def test_an_answer_that_had_no_time_to_settle_is_said_to(longest, config, stopped, photos, monkeypatch):
+    monkeypatch.setattr(HierarchicalConfig, "default_limit", {"budget": longest})
+    result = fit_svbrdf(photos.pick([0, 4, 8]), MITSUBA, config)
+    assert result.stopped == stopped and UNSETTLED in result.warnings
 
 
 def test_a_short_budget_is_first_spent_on_all_photos(photos):
