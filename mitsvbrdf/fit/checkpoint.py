@@ -14,6 +14,7 @@ import torch
 from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
+from .. import color
 from ..capture import Capture
 from ..errors import ConfigError
 from ..io.files import atomic_write, to_disk
@@ -22,6 +23,7 @@ from .config import FitConfig
 KINDS = {torch.float32: "F32", torch.float64: "F64", torch.float16: "F16", torch.bfloat16: "BF16",
          torch.int64: "I64", torch.int32: "I32", torch.uint8: "U8", torch.bool: "BOOL"}  # of the format
 MOST_NAMED = 4  # of what differs from the run that is resumed
+BANDED = 64  # rows of a tensor that are looked at together
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], note: dict) -> None:
@@ -136,17 +138,19 @@ def fingerprints(config: FitConfig, capture: Capture, renderer: str,
     parts |= {"--renderer": renderer, "--transfer": capture.transfer, "--falloff": views.falloff,
               "size of the patch": repr(views.size)}
     for row, name in enumerate(capture.names):
-        parts[f"photo {name}"] = digest(capture.photo(row), *(
+        parts[f"photo {name}"] = digest(capture.stored[row], *(
             [] if capture.measured is None else [capture.measured[row]]))
         parts[f"view of photo {name}"] = digest(views.camera[row], views.light[row], views.intensity[row])
     return parts
 
 
 def digest(*tensors: Tensor) -> str:
-    """SHA-256 of the values of tensors."""
+    """SHA-256 of the values of tensors; pixels of 8 or 16 bits are as their display values."""
     found = hashlib.sha256()
     for tensor in tensors:
-        found.update(tensor.contiguous().numpy().data)
+        for rows in tensor.split(BANDED) if tensor.dim() else [tensor]:
+            value = rows if rows.dtype == torch.bool else color.shown(rows)
+            found.update(value.contiguous().numpy().data)
     return found.hexdigest()
 
 

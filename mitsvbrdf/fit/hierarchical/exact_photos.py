@@ -15,7 +15,7 @@ from .lobes import Lobes
 from .observations import ObservationModel
 from .relief import Relief
 from .scales import Scale
-from .shared_lobes import SharedLobes
+from .shared_lobes import SharedLobes, steepness
 from .solver import Observations
 from .specular_test import Search, decision_work, explained_without, may_be_omitted, without_lobe
 from .stages import Stage
@@ -78,13 +78,14 @@ class ExactPhotos:
 
     def next_prior(self, scale: Scale, photos: Observations, answer: TexelEstimate) -> TexelEstimate:
         """The answer with the prior of the next round, from what texels are seen to be."""
-        variance = variances(scale.solver, photos, answer)
         if not self.lobes:
+            variance = variances(scale.solver, photos, answer)
             return self.prior.share(answer, variance, scale, len(photos.views), tied=False)
+        square = steepness(self.prior, scale.solver, photos, answer)
         self._measure_noise(answer.x)
         if self.seen.stages.stage != Stage.FINE:
             self.lobes, answer = self.lobes.moved(scale, photos, answer)
-        self.lobes, answer = self.lobes.with_relief(answer, variance)
+        self.lobes = self.lobes.with_relief(answer, square)
         return answer
 
     def _measure_noise(self, x: Tensor) -> None:

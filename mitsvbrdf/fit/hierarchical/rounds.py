@@ -14,8 +14,6 @@ learned from all of them (:mod:`.shared_lobes`), or have none where none is need
 
 from __future__ import annotations
 
-from functools import partial
-
 from torch import Tensor
 
 from ...capture import Capture
@@ -158,6 +156,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         others = FAR_STEPS if lobes else OTHER_STEPS
         scoring = self._scoring()
         self.cut, before = steps < STEPS, self.answer.x
+        self.answer = self.answer.copy()  # a state may have the planes
         self.answer, cost = scoring.scored(self.answer, steps)
         moved = sum(int(((self.answer.x[:, rows] - before[:, rows]).abs().amax(dim=0) > MOVED).sum())
                     for rows in strips(before.shape[-1])) / cost.numel()
@@ -181,7 +180,7 @@ class Hierarchical(Method[HierarchicalConfig]):
             self.answer, cost = scoring.scored(self.answer, others)
             if self.config.neighbours:
                 self.answer, cost = scoring.searched_further(self.answer, cost, lobes.further_starts)
-            self.answer = lobes.averaged(self.answer, cost, partial(scoring.scored, steps=others))
+            self.answer = scoring.averaged(self.answer, cost, others)
             self.answer, _ = scoring.scored(self.answer, LAST_STEPS)
         return cost.mean()
 

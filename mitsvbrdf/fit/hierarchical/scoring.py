@@ -9,12 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import torch
 from torch import Tensor
 
-from .kernel import tiles
-from .scales import Scale
+from .kernel import tile_rows, tiles
+from .scales import COARSE, Scale
 from .shared_lobes import SharedLobes
 from .solver import Observations
 from .starts import LESS, Start, stepped
@@ -51,20 +52,32 @@ class Scoring:
         """An answer after some steps from a start, and the cost of each texel, by tiles.
 
         Args:
-            answer: all texels.
+            answer: all texels; it is written into, and so is the cost.
             steps: of Levenberg-Marquardt.
             start: from it.
             cost: of the answer, R x R: texels keep what they are where they would not cost less.
         """
-        whole, least = answer.blank(), torch.empty_like(answer.x[0])
+        def found(rows: slice) -> Scored:
+            tried = self._tried(self.photos.of_rows(rows), start(answer, rows), steps)
+            return tried if cost is None else _better(answer.rows(rows), cost[rows], *tried)
+
+        least = torch.empty_like(answer.x[0]) if cost is None else cost
         with self.budget.timed("solver", steps * least.numel()):
-            for rows in tiles(len(least)):
-                found, its = self._tried(self.photos.of_rows(rows), start(answer, rows), steps)
-                if cost is not None:
-                    found, its = _better(answer.rows(rows), cost[rows], found, its)
-                whole.put(rows, found)
-                least[rows] = its
-        return whole, least
+            _write(answer, least, found)
+        return answer, least
+
+    def averaged(self, answer: TexelEstimate, cost: Tensor, steps: int) -> TexelEstimate:
+        """Texels averaged over the lobes that they may have, by tiles; the answer is written into."""
+        lobes = self.lobes
+        assert lobes
+
+        def found(rows: slice) -> Scored:
+            scored = partial(self._tried, self.photos.of_rows(rows), steps=steps)
+            return lobes.averaged(answer.rows(rows), cost[rows], rows, scored), cost[rows]
+
+        with self.budget.timed("solver", len(lobes.others) * steps * cost.numel()):
+            _write(answer, cost, found)
+        return answer
 
     def _tried(self, photos: Observations, start: TexelEstimate, steps: int) -> Scored:
         found = stepped(self.scale.solver, photos, start, self.prior, steps)
@@ -114,6 +127,23 @@ class Scoring:
             if not moved:
                 break
         return answer, cost
+
+
+def _write(answer: TexelEstimate, cost: Tensor, found: Callable[[slice], Scored]) -> None:
+    """Write what is found of tiles into all texels: each once no other tile starts from its old texels."""
+    side, waiting = len(cost), list[tuple[slice, Scored]]()
+    near = 1 + side // COARSE // tile_rows(side)  # tiles in which a tile's starts lie, each way round the edge
+
+    def write(rows: slice, part: Scored) -> None:
+        answer.put(rows, part[0])
+        cost[rows] = part[1]
+
+    for rows in tiles(side):
+        waiting.append((rows, found(rows)))
+        if len(waiting) > 2 * near + 1:
+            write(*waiting.pop(near))
+    for each in waiting:
+        write(*each)
 
 
 def _better(answer: TexelEstimate, cost: Tensor, other: TexelEstimate, its: Tensor) -> Scored:

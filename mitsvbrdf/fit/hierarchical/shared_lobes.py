@@ -12,7 +12,7 @@ from torch import Tensor
 
 from ...render import Renderer
 from .evidence import evidence, searched
-from .kernel import tile_rows
+from .kernel import tile_rows, tiles
 from .lobes import Learner, Lobes
 from .observations import ObservationModel
 from .relief import Relief
@@ -70,7 +70,7 @@ class SharedLobes:
         svbrdf = scale.solver.svbrdf(best)
         seen.measure_noise(svbrdf, scale.capture, len(best), renderer)
         photos = replace(seen.observations(scale, answer), robust=None)
-        relief, _ = with_relief(prior, answer, variances(scale.solver, photos, answer))
+        relief = Relief.learned(steepness(prior, scale.solver, photos, answer))
         found = evidence(scale.solver, photos, answer, prior.shared, answers)
         learner = Learner(prior.names, scale.member, len(scale.capture))
         lobes = cls.at(learner.learned(found, seen.config.seed), prior, relief, scale)
@@ -119,10 +119,11 @@ class SharedLobes:
         return (lacking + self.relief.improbability(square.sum(dim=0))
                 - (answer.precision[self.prior.slopes] * square).sum(dim=0))
 
-    def with_relief(self, answer: TexelEstimate, variance: Tensor) -> tuple[SharedLobes, TexelEstimate]:
-        """How steep texels are seen to be, and the texels with the prior that this gives."""
-        relief, answer = with_relief(self.prior, answer, variance)
-        return replace(self, relief=relief), answer
+    def with_relief(self, answer: TexelEstimate, square: Tensor) -> SharedLobes:
+        """With the relief of :func:`steepness`, and write the prior of slopes that this gives."""
+        relief = Relief.learned(square)
+        answer.mean[self.prior.slopes], answer.precision[self.prior.slopes] = 0, relief.precision(square)
+        return replace(self, relief=relief)
 
     def _as_steep(self, answer: TexelEstimate) -> TexelEstimate:
         """Texels with a prior that lets them be as steep as they are."""
@@ -174,18 +175,19 @@ class SharedLobes:
     def _with(self, answer: TexelEstimate, rows: slice, lobe: Tensor, at_mean: bool = False) -> TexelEstimate:
         return self.having(answer.rows(rows), lobe[rows].long(), at_mean)
 
-    def averaged(self, answer: TexelEstimate, cost: Tensor,
+    def averaged(self, answer: TexelEstimate, cost: Tensor, rows: slice,
                  scored: Callable[[TexelEstimate], tuple[TexelEstimate, Tensor]]) -> TexelEstimate:
         """Texels averaged over the lobes that they may have, as likely as these are; shared numbers are held.
 
         Args:
-            answer: with the likeliest lobes.
-            cost: -2 log of their likelihoods, R x R.
+            answer: some rows of texels, with the likeliest lobes.
+            cost: -2 log of their likelihoods.
+            rows: which these are.
             scored: gives such an answer and its costs from a start.
         """
         x, total, had = answer.x, torch.ones_like(cost), [answer.lobe]
         for lobe in self.others:
-            lobe = lobe.long()
+            lobe = lobe[rows].long()
             other, its = scored(self.having(answer, lobe))
             new = torch.stack([lobe != before for before in had]).all(dim=0)
             likely = torch.where(new & its.isfinite(), ((cost - its) / 2).clamp_max(FAR_MORE).exp(), 0.0)
@@ -195,16 +197,11 @@ class SharedLobes:
         return answer._replace(x=x, mean=mean, precision=precision)
 
 
-def with_relief(prior: TexelPrior, answer: TexelEstimate, variance: Tensor) -> tuple[Relief, TexelEstimate]:
-    """How steep texels are seen to be, and the texels with the prior of slopes that this gives.
-
-    Args:
-        prior: of the texels.
-        answer: so far.
-        variance: of the unknowns, given photos and prior, U x R x R.
-    """
-    square = (answer.x[prior.slopes].square() + variance[prior.slopes]).sum(dim=0)
-    relief = Relief.learned(square)
-    mean, precision = answer.mean.clone(), answer.precision.clone()
-    mean[prior.slopes], precision[prior.slopes] = 0, relief.precision(square)
-    return relief, answer._replace(mean=mean, precision=precision)
+def steepness(prior: TexelPrior, solver: TexelSolver, photos: Observations, answer: TexelEstimate) -> Tensor:
+    """Squares to expect of texels' slopes, given photos and prior, R x R."""
+    of, square = prior.slopes, torch.empty_like(answer.x[0])
+    for rows in tiles(len(square)):
+        part = answer.rows(rows)
+        variance = variances(solver, photos.of_rows(rows), part)
+        square[rows] = (part.x[of].square() + variance[of]).sum(dim=0)
+    return square

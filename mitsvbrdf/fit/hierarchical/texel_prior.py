@@ -91,9 +91,9 @@ class TexelEstimate(NamedTuple):
             planes = getattr(self, name)
             planes[..., texels // planes.shape[-1], texels % planes.shape[-1]] = getattr(part, name)
 
-    def blank(self) -> TexelEstimate:
-        """Planes for :meth:`put`, of which nothing is known."""
-        return self._replace(**{name: torch.empty_like(getattr(self, name)) for name in self._changed})
+    def copy(self) -> TexelEstimate:
+        """The same texels, for :meth:`put`."""
+        return self._replace(**{name: getattr(self, name).clone() for name in self._changed})
 
 
 class TexelPrior:
