@@ -40,10 +40,12 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views, repeats: bool = F
     """
     out, svbrdf = Path(out), svbrdf.detach().to(torch.float32)
     parameters = view_parameters(views, svbrdf.resolution)
-    # to be lit and looked at from anywhere
-    parts = [_slots(svbrdf, rows) for rows in strips(svbrdf.resolution)]
-    images.write_all([partial(images.write_exr, out / "scene" / f"{slot}.exr",
-                              torch.cat([part.pop(slot) for part in parts])) for slot in list(parts[0])])
+
+    def write(slot: str) -> None:
+        images.write_exr(out / "scene" / f"{slot}.exr",
+                         torch.cat([_slots(svbrdf, rows)[slot] for rows in strips(svbrdf.resolution)]))
+
+    images.write_all([partial(write, slot) for slot in _slots(svbrdf, slice(0, 1))])
 
     comments = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
     tree = ET.parse(SCENES / "patch.xml", comments)
@@ -72,7 +74,7 @@ def write_mitsuba(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAU
 
 
 def _slots(svbrdf: SVBRDF, rows: slice) -> dict[str, torch.Tensor]:
-    """What the scene's textures hold in some rows."""
+    """What the scene's textures hold in some rows, to be lit and looked at from anywhere."""
     maps = {name: value[rows] for name, value in svbrdf.maps.items()}
     return slot_values(svbrdf.bsdf, maps, Needs(), stock=True)
 

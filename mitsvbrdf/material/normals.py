@@ -25,6 +25,7 @@ EMPTY, SLOPPY = 2 / 255, 0.02
 # quarter of the curl's energy and nearly all blocks agree, and possible where it leaves less than two thirds.
 PROVEN, POSSIBLE, AGREED, BLOCKS = 1 / 4, 2 / 3, 0.9, 8
 OVERRULE = "--encoding {} (or material.json)"  # how the user does that
+BAND = 64  # rows that are looked at together
 STEEPEST = 0.05  # smallest z that slopes are computed with
 
 
@@ -33,9 +34,12 @@ def unit_normals(image: Tensor, path: Path, convention: str = "", way: str = OVE
 
     Understood are (n + 1) / 2, signed vectors of EXR files, and x and y alone. A convention is ``gl`` or
     ``dx`` where it is stated; else the curl decides. MapsError: no normals. MapsWarning: DirectX was found by
-    its curl, or is possible; a few normals were lifted.
+    its curl, or is possible; a few normals were lifted. The image is written into.
     """
-    normal = _lifted(F.normalize(_vectors(image, path), dim=-1), path)
+    normal = _vectors(image, path)
+    for rows in normal.split(BAND):
+        rows.copy_(F.normalize(rows, dim=-1))
+    normal = _lifted(normal, path)
     if not convention and (found := directx_by_curl(normal)) is not False:
         done, other = ("turned around", "gl") if found else ("read as OpenGL's", "dx")
         warnings.warn(f"{path}: normals {'are' if found else 'may be'} DirectX's (+Y down), for their slopes "
@@ -70,7 +74,7 @@ def _vectors(image: Tensor, path: Path) -> Tensor:
         spread = image.amax(dim=2) - image.amin(dim=2)
         ranges = [float(channel.max() - channel.min()) for channel in image.unbind(dim=2)]
         pair = ranges[2] <= EMPTY < max(ranges[:2]) / 4 and (
-            float(image[..., 2].max()) <= EMPTY or _off(image * 2 - 1, torch.mean) > SLOPPY)
+            float(image[..., 2].max()) <= EMPTY or _off(image, _signed, torch.mean) > SLOPPY)
         if not pair and float(spread.median()) < GREY:
             image = image[..., :1]
     if image.shape[2] == 1:
@@ -81,17 +85,23 @@ def _vectors(image: Tensor, path: Path) -> Tensor:
         flat = image[..., :2] if signed else image[..., :2] * 2 - 1
         up = (1 - flat.square().sum(dim=-1, keepdim=True)).clamp_min(RAISED**2).sqrt()
         return torch.cat((flat, up), dim=-1)
-    stored, error = image * 2 - 1, _off(image * 2 - 1)
-    if path.suffix.lower() == ".exr" and _off(image) < error:
-        stored, error = image, _off(image)
+    shifted, error = True, _off(image, _signed)
+    if path.suffix.lower() == ".exr" and (off := _off(image)) < error:
+        shifted, error = False, off
     if error > LENGTH:
         raise MapsError("normals of length 1, as (n + 1) / 2", f"{path} with lengths off by {error:.2g}",
                         "give the file of normals")
-    return stored
+    return image.mul_(2).sub_(1) if shifted else image
 
 
-def _off(vectors: Tensor, average: Callable[[Tensor], Tensor] = torch.median) -> float:
-    return float(average((vectors.norm(dim=-1) - 1).abs()))
+def _signed(stored: Tensor) -> Tensor:
+    return stored * 2 - 1
+
+
+def _off(image: Tensor, read: Callable[[Tensor], Tensor] = Tensor.detach,
+         average: Callable[[Tensor], Tensor] = torch.median) -> float:
+    lengths = torch.cat([read(rows).norm(dim=-1) for rows in image.split(BAND)])
+    return float(average(lengths.sub_(1).abs_()))
 
 
 def _lifted(normal: Tensor, path: Path) -> Tensor:

@@ -42,7 +42,9 @@ def rerendered(renderer: Renderer, svbrdf: SVBRDF, views: Views, capture: Captur
         images, _, errors = rerender(renderer, svbrdf, views.pick(part), shown)
         each += [error if finite(image) else math.nan for image, error in zip(images, errors)]
         samples.append(sampled(images.movedim(-1, 1), min(side, svbrdf.resolution)).movedim(1, -1))
-    return Rerendered(of_all(each), each, torch.cat(samples), images if len(parts) == 1 else None)
+        whole = images if len(parts) == 1 else None
+        del images  # before others are rendered
+    return Rerendered(of_all(each), each, torch.cat(samples), whole)
 
 
 def rerender_errors(renderer: Renderer, svbrdf: SVBRDF, views: Views,

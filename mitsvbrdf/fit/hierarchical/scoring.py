@@ -63,7 +63,7 @@ class Scoring:
 
         least = torch.empty_like(answer.x[0]) if cost is None else cost
         with self.budget.timed("solver", steps * least.numel()):
-            _write(answer, least, found)
+            write_by_tiles(answer, least, found)
         return answer, least
 
     def averaged(self, answer: TexelEstimate, cost: Tensor, steps: int) -> TexelEstimate:
@@ -76,7 +76,7 @@ class Scoring:
             return lobes.averaged(answer.rows(rows), cost[rows], rows, scored), cost[rows]
 
         with self.budget.timed("solver", len(lobes.others) * steps * cost.numel()):
-            _write(answer, cost, found)
+            write_by_tiles(answer, cost, found)
         return answer
 
     def _tried(self, photos: Observations, start: TexelEstimate, steps: int) -> Scored:
@@ -129,10 +129,10 @@ class Scoring:
         return answer, cost
 
 
-def _write(answer: TexelEstimate, cost: Tensor, found: Callable[[slice], Scored]) -> None:
+def write_by_tiles(answer: TexelEstimate, cost: Tensor, found: Callable[[slice], Scored]) -> None:
     """Write what is found of tiles into all texels: each once no other tile starts from its old texels."""
     side, waiting = len(cost), list[tuple[slice, Scored]]()
-    near = 1 + side // COARSE // tile_rows(side)  # tiles in which a tile's starts lie, each way round the edge
+    near = 1 + side // COARSE // tile_rows(side)  # tiles that a tile's starts lie in, each way
 
     def write(rows: slice, part: Scored) -> None:
         answer.put(rows, part[0])

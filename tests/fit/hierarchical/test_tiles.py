@@ -12,7 +12,7 @@ from helpers.hierarchical_fits import method_of
 from mitsvbrdf import views
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf
-from mitsvbrdf.fit.hierarchical import kernel, scales, stages
+from mitsvbrdf.fit.hierarchical import kernel, scales, scoring, stages
 from mitsvbrdf.fit.hierarchical.sensor_noise import noise_at
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
 from mitsvbrdf.fit.hierarchical.texel_prior import TexelEstimate
@@ -139,6 +139,21 @@ def test_starts_from_neighbours_are_planes_rolled():
     lobed = answer._replace(lobe=planes[0].long())
     assert torch.equal(lobed.rows(rows, 1).mean, answer.mean.roll(1, 1)[:, rows])
     assert torch.equal(lobed.rows(rows, 1).lobe, lobed.lobe.roll(1, 0)[rows])
+
+
+def test_tiles_are_written_once_none_starts_from_them(monkeypatch):
+    """Neither from below, nor round the edge, nor where the last tile shares rows with another."""
+    side, reach = 26, 5  # in tiles of 3 rows
+    monkeypatch.setattr(kernel, "TILE", 3 * side)
+    monkeypatch.setattr(scoring, "COARSE", side // reach)
+    planes = torch.arange(2.0 * side * side).reshape(2, side, side)
+    for down in range(-reach, reach + 1):
+        answer = TexelEstimate(*(planes.clone() for _ in range(3)), torch.zeros(1), planes[0].long())
+        cost = torch.zeros(side, side)
+        scoring.write_by_tiles(answer, cost, lambda rows, answer=answer, cost=cost, down=down: (
+            answer.rows(rows, down, 1), cost[rows] + 1))
+        assert torch.equal(answer.x, planes.roll((down, 1), (1, 2))) and torch.equal(answer.mean, answer.x)
+        assert torch.equal(answer.lobe, answer.x[0].long()) and (cost == 1).all()
 
 
 @pytest.mark.parametrize("exact", [False, True])
