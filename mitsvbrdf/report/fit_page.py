@@ -178,7 +178,7 @@ def _maps(found: Fit) -> list[dict]:
 
 
 def _map_uri(name: str, value: Tensor) -> str:
-    return picture_uri(at_most(shown_map(name, value), LARGEST_MAP), EXACT_MAP)
+    return picture_uri(at_most(value, LARGEST_MAP, partial(shown_map, name)), EXACT_MAP)
 
 
 def _photo(photo: dict, side: int, found: Fit, *folders: Path) -> dict:
@@ -206,7 +206,7 @@ def _photo(photo: dict, side: int, found: Fit, *folders: Path) -> dict:
                             f"{tuple(seen.shape[:2])} beside {tuple(rendered.shape[:2])} in {folders[-1]}",
                             "add --capture with the photos of the fit")
         pictures |= {"photo": picture_uri(at_most(seen, side)),
-                     "difference": picture_uri(at_most(4 * (seen - rendered).abs(), side))}
+                     "difference": picture_uri(at_most(seen.sub_(rendered).abs_().mul_(4), side))}
     return photo | {"pictures": pictures, "side": min(side, rendered.shape[0])}
 
 

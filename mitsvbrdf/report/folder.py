@@ -1,5 +1,6 @@
 """What a fit leaves on disk."""
 
+from functools import partial
 from pathlib import Path
 
 import torch
@@ -17,7 +18,7 @@ from ..io.images import linear_writes
 from ..io.progress import say
 from ..io.results import output_folder
 from ..material.map_files import DETAIL, save_maps
-from ..material.resample import averaged_rows, enlarged
+from ..material.resample import enlarged
 from ..measure.rerender import batches
 from .fit_page import check_apart, keep_photos, write_report
 from .header import material_name
@@ -82,15 +83,9 @@ def _write_renderings(result: Fit, capture: Capture, out: Path) -> Tensor:
         for row in part:
             image = result.rerendering(row)
             writes += linear_writes(out / f"rerendered/{capture.names[row]}", image, capture.transfer)
-            small.append(_shown(image, capture.transfer))
+            small.append(at_most(image, SHEET, partial(color.to_display, transfer=capture.transfer)))
         images.write_all(writes)
     return torch.stack(small)
-
-
-def _shown(image: Tensor, transfer: color.Transfer) -> Tensor:
-    """An image as the sheet shows it, by rows."""
-    return averaged_rows(lambda rows: color.to_display(image[rows], transfer), len(image),
-                         min(SHEET, len(image)))
 
 
 def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_out: Capture | None) -> None:
@@ -103,7 +98,7 @@ def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_ou
                for name in result.svbrdf.maps}
     title = title.encode(errors="replace").decode()  # of a folder whose name is not UTF-8
     write_sheet(out / "sheet.png", result.svbrdf.resized(min(SHEET, result.svbrdf.resolution)),
-                torch.stack([at_most(capture.photo(row), SHEET) for row in range(len(capture))]),
+                torch.stack([at_most(photo, SHEET, color.shown) for photo in capture.stored]),
                 small, rmse=result.rerender_rmse, per_photo=result.per_photo,
                 guess=at_most(result.guess, SHEET),
                 names=capture.names, title=title, remarks=remarks)

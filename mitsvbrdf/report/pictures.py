@@ -6,6 +6,7 @@ loaded with the first picture.
 
 import base64
 import math
+from collections.abc import Callable
 
 import torch
 import torch.nn.functional as F
@@ -47,11 +48,17 @@ def _uri(display: Tensor, kind: str, *options: int) -> str:
     return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
 
 
-def at_most(picture: Tensor, side: int) -> Tensor:
-    """A picture H x W x C area-averaged so that no side is longer than this many pixels."""
+def at_most(picture: Tensor, side: int, shown: Callable[[Tensor], Tensor] = Tensor.detach) -> Tensor:
+    """A picture H x W x C area-averaged so that no side is longer than this many pixels.
+
+    ``shown`` makes display values of some of its rows.
+    """
     if max(picture.shape[:2]) <= side:
-        return picture
-    return F.adaptive_avg_pool2d(picture.permute(2, 0, 1), shrunk(picture, side)).permute(1, 2, 0)
+        return shown(picture)
+    (height, width), count = shrunk(picture, side), len(picture)
+    rows = (slice(k * count // height, -((k + 1) * -count // height)) for k in range(height))
+    return torch.cat([F.adaptive_avg_pool2d(shown(picture[each]).permute(2, 0, 1), (1, width))
+                      for each in rows], dim=1).permute(1, 2, 0)
 
 
 def shrunk(picture: Tensor, side: int) -> tuple[int, int]:
