@@ -41,11 +41,13 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views, repeats: bool = F
     out, svbrdf = Path(out), svbrdf.detach().to(torch.float32)
     parameters = view_parameters(views, svbrdf.resolution)
 
-    def write(slot: str) -> None:
-        images.write_exr(out / "scene" / f"{slot}.exr",
-                         torch.cat([_slots(svbrdf, rows)[slot] for rows in strips(svbrdf.resolution)]))
+    def write(slot: str, some: torch.Tensor) -> None:
+        texture = some.new_empty(svbrdf.resolution, *some.shape[1:])
+        for rows in strips(svbrdf.resolution):
+            texture[rows] = _slots(svbrdf, rows)[slot]
+        images.write_exr(out / "scene" / f"{slot}.exr", texture)
 
-    images.write_all([partial(write, slot) for slot in _slots(svbrdf, slice(0, 1))])
+    images.write_all([partial(write, *each) for each in _slots(svbrdf, slice(0, 1)).items()])
 
     comments = ET.XMLParser(target=ET.TreeBuilder(insert_comments=True))
     tree = ET.parse(SCENES / "patch.xml", comments)

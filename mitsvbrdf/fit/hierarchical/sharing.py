@@ -48,7 +48,11 @@ def appearance_of(capture: Capture, guess: Tensor) -> Tensor:
         capture: N photos with their views.
         guess: guessed diffuse map, R x R x 3.
     """
-    return torch.cat([_appearance(capture, guess, rows) for rows in strips(capture.resolution)])
+    side = capture.resolution
+    look = torch.empty(side, side, 5)  # many small parts beside each other would leave gaps when they go
+    for rows in strips(side):
+        look[rows] = _appearance(capture, guess, rows).reshape(-1, side, 5)
+    return look.flatten(0, 1)
 
 
 def _appearance(capture: Capture, guess: Tensor, rows: slice) -> Tensor:
