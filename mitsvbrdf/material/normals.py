@@ -21,9 +21,10 @@ LENGTH = 0.25  # how far half the vectors may be from length 1; in the worst of 
 # vectors are off length 1 by more than the 8 bits of gentle slopes explain.
 EMPTY, SLOPPY = 2 / 255, 0.02
 
-# The curl of slopes is 0 with the right sign of y. DirectX is proven where its sign leaves less than a
-# quarter of the curl's energy and nearly all blocks agree, and possible where it leaves less than two thirds.
-PROVEN, POSSIBLE, AGREED, BLOCKS = 1 / 4, 2 / 3, 0.9, 8
+# The curl of slopes is 0 with the right sign of y. A sign is proven where it leaves less than a quarter of
+# the curl's energy that the other leaves; DirectX where nearly all blocks agree, too.
+PROVEN, AGREED, BLOCKS = 1 / 4, 0.9, 8
+LEVEL = 1 / 255  # mean slope along y below which its sign hardly shows
 OVERRULE = "--encoding {} (or material.json)"  # how the user does that
 BAND = 64  # rows that are looked at together
 STEEPEST = 0.05  # smallest z that slopes are computed with
@@ -42,25 +43,25 @@ def unit_normals(image: Tensor, path: Path, convention: str = "", way: str = OVE
     normal = _lifted(normal, path)
     if not convention and (found := directx_by_curl(normal)) is not False:
         done, other = ("turned around", "gl") if found else ("read as OpenGL's", "dx")
-        warnings.warn(f"{path}: normals {'are' if found else 'may be'} DirectX's (+Y down), for their slopes "
-                      f"fit together better that way; {done}; {way.format(f'normal={other}')} overrules",
-                      MapsWarning, stacklevel=2)
+        why = "fit together that way" if found else "do not tell"
+        warnings.warn(f"{path}: normals {'are' if found else 'may be'} DirectX's (+Y down): their slopes "
+                      f"{why}; {done}; {way.format(f'normal={other}')} overrules", MapsWarning, stacklevel=2)
         convention = "dx" if found else "gl"
     return normal * normal.new_tensor([1, -1, 1]) if convention == "dx" else normal
 
 
 def directx_by_curl(normal: Tensor) -> bool | None:
-    """Whether a field of normals is one of slopes with y turned around only; None: perhaps.
+    """Whether a field of normals is one of slopes with y turned around only; None: its slopes do not tell.
 
     Of heights h, the slopes p = dh/dx and q = dh/dy have dp/dy = dq/dx.
     """
     slopes = -normal[..., :2].float() / normal[..., 2:].float().clamp_min(STEEPEST)
     across, up = slopes[..., 1].diff(dim=1), -slopes[..., 0].diff(dim=0)  # dq/dx, dp/dy; rows go down
-    if min(across.shape[0], up.shape[1]) < 2 * BLOCKS:
+    if min(across.shape[0], up.shape[1]) < 2 * BLOCKS or float(slopes[..., 1].abs().mean()) < LEVEL:
         return False
     across, up = across[1:] + across[:-1], up[:, 1:] + up[:, :-1]
     as_it_is, turned = (float((up - sign * across).square().sum(dtype=torch.float64)) for sign in (1, -1))
-    if turned >= POSSIBLE * as_it_is:
+    if as_it_is < PROVEN * turned:
         return False
     blocks = torch.stack([block.sum() for row in (up * across).tensor_split(BLOCKS)
                           for block in row.tensor_split(BLOCKS, dim=1)])
