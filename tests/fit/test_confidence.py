@@ -210,17 +210,19 @@ def test_one_photo_determines_less_than_nine(leather):
         assert nine[name]["determined_share"] > one[name]["determined_share"] + 0.2, name
 
 
-def test_texels_between_those_whose_valley_is_followed_have_their_own_deviation():
+@pytest.mark.parametrize("hidden, noisier", [(True, 1.0), (False, 1.4)])
+def test_texels_between_those_whose_valley_is_followed_have_their_own_deviation(hidden, noisier):
     # Only diffuse unknown, as above. Every other column, of those that are not followed, shows in two photos
-    # alone. Medians over the closed form: 1.00 and 1.05.
-    side, noise = 80, 0.01
+    # alone, or has more noise. Medians over the closed form: 0.94 to 0.99.
+    side, noise = 80, torch.full((80, 1), 0.01)
+    noise[::2] *= noisier
     truth = flat(side, diffuse=0.3, specular=0.0, roughness=1.0)
     rng = torch.Generator().manual_seed(0)
     slope = color.to_display(TWIN.render(flat(side, diffuse=1.0, specular=0.0, roughness=1.0), GRID))
     images = color.to_display(TWIN.render(truth, GRID))
     images = images + noise * torch.randn(images.shape, generator=rng, dtype=torch.float64)
     measured = torch.ones(images.shape[:-1], dtype=torch.bool)
-    measured[2:, :, ::2] = False
+    measured[2:, :, ::2] = not hidden
     seen = measured[..., None]
     best = (seen * images * slope).sum(dim=0) / (seen * slope.square()).sum(dim=0)
     answer = SVBRDF(truth.bsdf, {**truth.maps, "diffuse": color.decode(best).float()})

@@ -76,6 +76,12 @@ def test_a_field_that_fits_less_well_is_read_as_it_is_with_a_warning(tmp_path):
     assert (found - field).abs().max() < 1e-6
 
 
+def test_of_level_normals_the_sign_hardly_shows_and_nothing_is_said():
+    noise = 0.002 * torch.randn(SIDE, SIDE, 2, generator=torch.Generator().manual_seed(0))
+    level = torch.nn.functional.normalize(torch.cat((noise, torch.ones(SIDE, SIDE, 1)), dim=-1), dim=-1)
+    assert directx_by_curl(level) is False
+
+
 def test_the_curl_of_published_normals(data_folder):
     """None is called DirectX; turned around, most are, and only level ones are called OpenGL's."""
     found, turned, level = {}, {}, set()

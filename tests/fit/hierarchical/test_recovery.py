@@ -56,27 +56,15 @@ def test_levels_that_are_not_the_usual_one_come_back(name, f0, error):
     assert map_rmse(fit_svbrdf(photos_of(truth), MITSUBA, HierarchicalConfig()).svbrdf, truth)["mean"] < error
 
 
-@pytest.fixture(scope="module")
-def broad_lobe():
-    """The errors of a fit to a material whose lobe is broad."""
+@pytest.mark.slow
+def test_a_broad_lobe_that_photos_leave_open_has_the_usual_level():
+    # Measured: specular 0.0021, and 0.0535 where the usual level does not count; the mean 0.0125 and 0.031.
     made = make_material("leather", SIDE)
     broad = {"roughness": torch.full_like(made["roughness"], 0.95),
              "specular": torch.full_like(made["specular"], 0.04)}
     truth = SVBRDF(made.bsdf, {**made.maps, **broad})
-    return map_rmse(fit_svbrdf(photos_of(truth, noise=0.003), MITSUBA, HierarchicalConfig()).svbrdf, truth)
-
-
-@pytest.mark.slow
-def test_a_broad_lobe_that_photos_leave_open_has_the_usual_level(broad_lobe):
-    # Measured: specular 0.0030, and 0.0535 where the usual level does not count.
-    assert broad_lobe["specular"] < 0.012
-
-
-@pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="slopes of many widths: 0.0249, with roughness 0.89 for 0.95; of one "
-                   "width 0.0181")
-def test_the_other_maps_of_a_broad_lobe_come_back(broad_lobe):
-    assert broad_lobe["mean"] < 0.02
+    errors = map_rmse(fit_svbrdf(photos_of(truth, noise=0.003), MITSUBA, HierarchicalConfig()).svbrdf, truth)
+    assert errors["specular"] < 0.012 and errors["mean"] < 0.02
 
 
 def test_known_material_at_more_than_the_coarse_size(two_stages, capture):
