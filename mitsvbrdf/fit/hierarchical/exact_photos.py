@@ -15,7 +15,7 @@ from .lobes import Lobes
 from .observations import ObservationModel
 from .relief import Relief
 from .scales import Scale
-from .shared_lobes import SharedLobes, steepness
+from .shared_lobes import SharedLobes
 from .solver import Observations
 from .specular_test import Search, decision_work, explained_without, may_be_omitted, without_lobe
 from .stages import Stage
@@ -81,11 +81,10 @@ class ExactPhotos:
         if not self.lobes:
             variance = variances(scale.solver, photos, answer)
             return self.prior.share(answer, variance, scale, len(photos.views), tied=False)
-        square = steepness(self.prior, scale.solver, photos, answer)
         self._measure_noise(answer.x)
         if self.seen.stages.stage != Stage.FINE:
             self.lobes, answer = self.lobes.moved(scale, photos, answer)
-        self.lobes = self.lobes.with_relief(answer, square)
+        self.lobes = self.lobes.with_relief(answer, photos)
         return answer
 
     def _measure_noise(self, x: Tensor) -> None:

@@ -120,7 +120,9 @@ class Learner:
         return Posterior(*(torch.stack(part, dim=1) for part in zip(*parts, strict=True)))
 
     def learned(self, found: Evidence, seed: int) -> Lobes:
-        """The lobes, from nothing.
+        """The lobes, from nothing: begun at what texels are, and at dielectrics, whichever ends likelier.
+
+        Where noise hides a lobe, what texels are on their own is chance.
 
         Args:
             found: of the photos of all texels, at some roughnesses.
@@ -129,6 +131,13 @@ class Learner:
         best, texels = found.cost.argmin(dim=0), found.cost.shape[1]
         some = torch.randperm(texels, generator=torch.Generator().manual_seed(seed))[:CANDIDATES]
         mean = found.x[best[some], some].clamp(self.low, self.high)
+        ends = [self._learned(found, mean)]
+        if self.specular.any():
+            ends.append(self._learned(found, mean.where(~self.specular, KINDS[0][0])))
+        return max(ends, key=lambda end: end[1])[0]
+
+    def _learned(self, found: Evidence, mean: Tensor) -> tuple[Lobes, float]:
+        """The lobes that some candidates lead to, and the log of their likelihood."""
         tried = Lobes(mean, torch.full_like(mean, FIRST_SPREAD**2), torch.empty(0))
         likely, share = -self.each(found, tried).cost / 2, torch.full_like(mean[:, 0], 1 / len(mean))
         for _ in range(WEIGHING):
@@ -143,7 +152,8 @@ class Learner:
             seen = self.each(found, lobes)
             likely = (seen.cost.amin(dim=1, keepdim=True) - seen.cost).mul(0.5).exp()
             lobes = self._fewer(self._improved(lobes, seen, likely))
-        return lobes
+        cost = self.each(found, lobes).cost
+        return lobes, float(torch.logsumexp(lobes.shares(self.member).log() - cost / 2, dim=1).sum())
 
     def moved(self, lobes: Lobes, found: Evidence, lobe: Tensor) -> Lobes:
         """The lobes moved to where the texels are that have them.

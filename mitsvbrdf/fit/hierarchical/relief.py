@@ -28,11 +28,26 @@ class Relief:
         self.share = share
 
     @classmethod
-    def learned(cls, square: Tensor) -> Relief:
-        """By the squares to expect of texels' slopes, |p|^2 and its variance, R x R."""
-        step = -(-len(square) // SAMPLED)
-        likely = torch.stack([_density(square[::step, ::step].flatten().double(), w) for w in WIDTHS])
-        share = torch.full_like(likely[:, 0], 1 / len(WIDTHS))
+    def learned(cls, x: Tensor, variance: Tensor, precision: Tensor) -> Relief:
+        """The shares that make the photos likeliest, by what they say of each texel's slopes (a normal
+        distribution; Bovy et al. 2011).
+
+        What the prior says is taken out: where the photos say little, an answer is as steep as its prior was.
+
+        Args:
+            x: slopes of the answer, 2 x R x R.
+            variance: of these, given photos and prior.
+            precision: of that prior, whose mean is 0.
+        """
+        step = -(-x.shape[-1] // SAMPLED)
+        x, variance, precision = (part[:, ::step, ::step].flatten(1).double()
+                                  for part in (x, variance, precision))
+        told, pull = (1 / variance - precision).clamp_min(0), x / variance
+        spread = torch.tensor(WIDTHS).double().square()[:, None, None]
+        wide = 1 + told * spread
+        # of each width, over that of a flat texel
+        likely = (pull.square() * spread / wide - wide.log()).sum(dim=1) / 2
+        likely, share = (likely - likely.amax(dim=0)).exp(), torch.full_like(likely[:, 0], 1 / len(WIDTHS))
         for _ in range(ROUNDS):
             mixed = share[:, None] * likely
             share = (mixed / mixed.sum(dim=0)).mean(dim=1).clamp_min(NOBODY)

@@ -70,7 +70,7 @@ class SharedLobes:
         svbrdf = scale.solver.svbrdf(best)
         seen.measure_noise(svbrdf, scale.capture, len(best), renderer)
         photos = replace(seen.observations(scale, answer), robust=None)
-        relief = Relief.learned(steepness(prior, scale.solver, photos, answer))
+        relief = relief_of(prior, scale.solver, photos, answer)[0]
         found = evidence(scale.solver, photos, answer, prior.shared, answers)
         learner = Learner(prior.names, scale.member, len(scale.capture))
         lobes = cls.at(learner.learned(found, seen.config.seed), prior, relief, scale)
@@ -119,9 +119,9 @@ class SharedLobes:
         return (lacking + self.relief.improbability(square.sum(dim=0))
                 - (answer.precision[self.prior.slopes] * square).sum(dim=0))
 
-    def with_relief(self, answer: TexelEstimate, square: Tensor) -> SharedLobes:
-        """With the relief of :func:`steepness`, and write the prior of slopes that this gives."""
-        relief = Relief.learned(square)
+    def with_relief(self, answer: TexelEstimate, photos: Observations) -> SharedLobes:
+        """With the relief that texels are seen to have, and write the prior of slopes that this gives."""
+        relief, square = relief_of(self.prior, self.scale.solver, photos, answer)
         answer.mean[self.prior.slopes], answer.precision[self.prior.slopes] = 0, relief.precision(square)
         return replace(self, relief=relief)
 
@@ -198,11 +198,12 @@ class SharedLobes:
         return answer._replace(x=x, mean=mean, precision=precision)
 
 
-def steepness(prior: TexelPrior, solver: TexelSolver, photos: Observations, answer: TexelEstimate) -> Tensor:
-    """Squares to expect of texels' slopes, given photos and prior, R x R."""
-    of, square = prior.slopes, torch.empty_like(answer.x[0])
-    for rows in tiles(len(square)):
-        part = answer.rows(rows)
-        variance = variances(solver, photos.of_rows(rows), part)
-        square[rows] = (part.x[of].square() + variance[of]).sum(dim=0)
-    return square
+def relief_of(prior: TexelPrior, solver: TexelSolver, photos: Observations,
+              answer: TexelEstimate) -> tuple[Relief, Tensor]:
+    """The relief that texels are seen to have, and the squares to expect of their slopes, R x R."""
+    of, side = prior.slopes, answer.x.shape[-1]
+    variance = torch.empty(len(of), side, side)
+    for rows in tiles(side):
+        variance[:, rows] = variances(solver, photos.of_rows(rows), answer.rows(rows))[of]
+    x, precision = answer.x[of], answer.precision[of]
+    return Relief.learned(x, variance, precision), x.square().add_(variance).sum(dim=0)

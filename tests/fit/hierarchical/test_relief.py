@@ -5,29 +5,35 @@ import torch
 from helpers import photos_of
 from helpers.hierarchical_fits import method_of
 
-from mitsvbrdf.fit.hierarchical.relief import Relief
+from mitsvbrdf.fit.hierarchical.relief import WIDTHS, Relief
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.metrics import map_rmse
 
 NOISE = 0.003  # of the photos, in linear radiance
 
 
-def test_a_mixture_that_is_known_comes_back():
+@pytest.mark.parametrize("prior", [0.02, 0.5])  # that the answer had
+@pytest.mark.parametrize("noise", [1e-4, 0.05])
+def test_a_mixture_that_is_known_comes_back(noise, prior):
     generator = torch.Generator().manual_seed(0)
-    slopes = torch.randn(2, 256, 256, generator=generator, dtype=torch.float64)
-    steep = torch.rand(256, 256, generator=generator) < 0.1
-    square = (slopes * torch.where(steep, 0.4, 0.01)).square().sum(dim=0)
-    found = Relief.learned(square)
+    slopes, seen = torch.randn(2, 2, 256, 256, generator=generator, dtype=torch.float64)
+    seen = slopes * torch.where(torch.rand(256, 256, generator=generator) < 0.1, 0.4, 0.01) + noise * seen
+    variance = torch.full_like(seen, 1 / (noise**-2 + prior**-2))
+    found = Relief.learned(seen * variance / noise**2, variance, torch.full_like(seen, prior**-2))
 
-    def improbability(square):
-        return -2 * torch.log(sum(share * torch.exp(-square / (2 * width**2)) / width**2
-                                  for share, width in ((0.9, 0.01), (0.1, 0.4))))
+    def improbability(mixture):
+        square = seen.square().sum(dim=0)
+        return -2 * torch.log(sum(share * torch.exp(-square / (2 * (width**2 + noise**2)))
+                                  / (width**2 + noise**2) for share, width in mixture)).mean()
 
-    # No mixture explains the slopes better than their own; one normal distribution takes 3.2 more a texel.
-    lost = (found.improbability(square) - improbability(square)).mean()
+    # No mixture makes what is seen likelier than its own; one normal distribution takes 3.2 more a texel.
+    lost = improbability(zip(found.share, WIDTHS)) - improbability(((0.9, 0.01), (0.1, 0.4)))
     assert -0.001 < lost < 0.02, lost
+
+
+def test_the_precision_is_what_a_small_change_of_the_square_costs():
+    found = Relief(torch.tensor([0.5, *[0.05] * 10], dtype=torch.float64))
     at = torch.tensor([0.0, 1e-4, 1e-2, 0.1, 0.5], dtype=torch.float64)
-    # the precision is what a small change of the square costs
     step = 1e-3 * at + 1e-8
     slope = (found.improbability(at + step) - found.improbability(at - step)) / (2 * step)
     torch.testing.assert_close(found.precision(at), slope, rtol=1e-4, atol=0)
