@@ -4,10 +4,8 @@ Source: glTF 2.0 specification (Khronos), sections 3.9 and 4.4; KHR_materials_sp
 """
 
 import base64
-import contextlib
 import struct
-import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import unquote
@@ -15,7 +13,6 @@ from urllib.parse import unquote
 from ..errors import MapsError
 from ..io import files
 from ..io.json import error_text, parsed
-from .encoding import NormalConvention, asked_codes
 from .map_set import LEAST_ROUGHNESS, MapSet
 from .maps import DIELECTRIC_F0
 from .naming import Source
@@ -23,27 +20,23 @@ from .naming import Source
 LARGEST = 2**30  # bytes of a file
 
 
-@contextlib.contextmanager
-def gltf_set(path: Path, encoding: str | None, normal: NormalConvention | None) -> Iterator[MapSet]:
-    """The one material of a file, whose textures are files as long as the context lasts.
+def gltf_set(path: Path, spare: Path) -> MapSet:
+    """The one material of a file; textures inside it become files in the folder ``spare``.
 
     MapsError: another file, several materials, or what the reader does not know.
     """
-    asked = asked_codes(encoding, normal)
-    with tempfile.TemporaryDirectory() as spare:
-        try:
-            document, binary = _parts(path)
-            materials = document.get("materials", [])
-            if len(materials) != 1:
-                names = ", ".join(str(m.get("name", k)) for k, m in enumerate(materials[:9])) or "none"
-                raise MapsError("a glTF file of one material", f"{path} with {len(materials)} ({names})",
-                                "export the material that is meant alone")
-            found = _found(path, document, materials[0], binary, Path(spare))
-        except (OSError, ValueError, LookupError, ArithmeticError, TypeError, AttributeError,
-                struct.error) as reason:
-            raise MapsError("a whole glTF 2.0 file", f"{path}: {type(reason).__name__} {error_text(reason)}",
-                            "export it again") from None
-        yield found._replace(stated=dict(found.stated) | asked)
+    try:
+        document, binary = _parts(path)
+        materials = document.get("materials", [])
+        if len(materials) != 1:
+            names = ", ".join(str(m.get("name", k)) for k, m in enumerate(materials[:9])) or "none"
+            raise MapsError("a glTF file of one material", f"{path} with {len(materials)} ({names})",
+                            "export the material that is meant alone")
+        return _found(path, document, materials[0], binary, spare)
+    except (OSError, ValueError, LookupError, ArithmeticError, TypeError, AttributeError,
+            struct.error) as reason:
+        raise MapsError("a whole glTF 2.0 file", f"{path}: {type(reason).__name__} {error_text(reason)}",
+                        "export it again") from None
 
 
 def _parts(path: Path) -> tuple[dict, bytes]:

@@ -5,6 +5,8 @@ writes ours.
 """
 
 import contextlib
+import tempfile
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 
@@ -60,27 +62,34 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
         return read_set(found, bsdf).check()
 
 
-def _found(path: Path, encoding: str | None, normal: NormalConvention | None = None
-           ) -> contextlib.AbstractContextManager[MapSet]:
+@contextlib.contextmanager
+def _found(path: Path, encoding: str | None, normal: NormalConvention | None = None) -> Iterator[MapSet]:
+    """The set at a path, with the encodings that are asked for; its files last as long as the context."""
+    asked = asked_codes(encoding, normal)
+    with contextlib.ExitStack() as last:
+        found = _set_of(path, last)
+        yield found._replace(stated=dict(found.stated) | asked)
+
+
+def _set_of(path: Path, last: contextlib.ExitStack) -> MapSet:
     """The set of a document, of that in a folder, or of a folder by its names."""
     if path.suffix.lower() in (".glb", ".gltf") and path.is_file():
-        return gltf_set(path, encoding, normal)
+        return gltf_set(path, Path(last.enter_context(tempfile.TemporaryDirectory())))
     if path.suffix.lower() in SUFFIXES and path.is_file():
-        stated = read_material_json(path.parent).get("encoding", {}) | asked_codes(encoding, normal)
-        return contextlib.nullcontext(strip_set(path, stated))
+        return strip_set(path, read_material_json(path.parent).get("encoding", {}))
     documents = [*path.glob("material.mtlx")] or sorted(path.glob("*.mtlx")) or (
         [path] if path.suffix.lower() == ".mtlx" and path.is_file() else [])
     if not documents or (path / "material.json").is_file():
-        return contextlib.nullcontext(find_maps(path, encoding, normal))
+        return find_maps(path)
     try:
         if len(documents) > 1:
             raise MapsError("one .mtlx", ", ".join(each.name for each in documents), "give one of the files")
-        return contextlib.nullcontext(mtlx_set(documents[0], encoding, normal))
+        return mtlx_set(documents[0])
     except MapsError as error:
-        if path.is_file() or "roughness" not in (found := find_maps(path, encoding, normal)).sources:
+        if path.is_file() or "roughness" not in (found := find_maps(path)).sources:
             raise
         said = f"read by the names of the files, without the document: {error.got}"
-        return contextlib.nullcontext(found._replace(remarks=(said,)))
+        return found._replace(remarks=(said,))
 
 
 def encodings(folder: str | Path, encoding: str | None = None) -> dict[str, str]:

@@ -14,7 +14,7 @@ from ..errors import AssumedWarning, MapsError, MapsWarning
 from ..io import images
 from ..io.decode import header
 from .conversion import FULL_LEVEL, as_shown
-from .encoding import ENCODINGS, NormalConvention, asked_codes, read_material_json
+from .encoding import ENCODINGS, read_material_json
 from .maps import CHANNELS, COLOURS, SVBRDF, Bsdf, finite
 from .naming import FIELD, Source, is_of_field, kind_of, sources
 from .normals import OVERRULE, unit_normals
@@ -61,9 +61,8 @@ class MapSet(NamedTuple):
         return value if source.factor == (1.0,) else value * torch.tensor(source.factor)
 
 
-def find_maps(folder: Path, encoding: str | None = None, normal: NormalConvention | None = None) -> MapSet:
+def find_maps(folder: Path) -> MapSet:
     """The files of a folder of maps; see :func:`mitsvbrdf.material.map_files.load_maps`."""
-    asked = asked_codes(encoding, normal)
     if (folder / "maps").is_dir():
         folder = folder / "maps"
     if not folder.is_dir():
@@ -77,10 +76,9 @@ def find_maps(folder: Path, encoding: str | None = None, normal: NormalConventio
     named = (path for name in STRIPS if (path := folder / name).is_file())
     strip = next(named, passed[0] if len(passed) == 1 and not chosen and _is_strip(passed[0]) else None)
     if "diffuse" not in chosen and strip and about.get("bsdf") != "principled":
-        return strip_set(strip, about.get("encoding", {}) | asked)
-    habit = "gamma 2.2" if is_of_field(chosen) else "srgb"
-    return MapSet(folder, chosen, about.get("encoding", {}) | asked, habit, about.get("bsdf"),
-                  tuple(path.name for path in passed))
+        return strip_set(strip, about.get("encoding", {}))
+    return MapSet(folder, chosen, about.get("encoding", {}), "gamma 2.2" if is_of_field(chosen) else "srgb",
+                  about.get("bsdf"), tuple(path.name for path in passed))
 
 
 def _is_strip(path: Path) -> bool:

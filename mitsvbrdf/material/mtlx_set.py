@@ -14,7 +14,7 @@ from .. import color
 from ..errors import MapsError
 from ..io.files import read_regular
 from ..io.json import error_text
-from .encoding import NormalConvention, asked_codes, code_of
+from .encoding import code_of
 from .gltf_set import LARGEST, beside, placed_alike
 from .map_set import LEAST_ROUGHNESS, MapSet
 from .maps import DIELECTRIC_F0
@@ -23,17 +23,15 @@ from .naming import NAMES, SURFACES, Source
 NODES = NAMES["materialx"]
 
 
-def mtlx_set(path: Path, encoding: str | None, normal: NormalConvention | None) -> MapSet:
+def mtlx_set(path: Path) -> MapSet:
     """The one material of a document; MapsError for several, and for nodes that the reader does not know."""
-    asked = asked_codes(encoding, normal)
     try:
         if b"<!DOCTYPE" in read_regular(path, LARGEST).replace(b"\0", b"").upper():
             raise ValueError("a DOCTYPE")
-        found = _Document(path).material()
+        return _Document(path).material()
     except (OSError, ValueError, LookupError, ArithmeticError, RecursionError, ET.ParseError) as reason:
         raise MapsError("a MaterialX document of one material, of image files and numbers", f"{path}: "
                         f"{error_text(reason)}", "bake it to image files, or give their folder") from None
-    return found._replace(stated=dict(found.stated) | asked)
 
 
 class _Document:

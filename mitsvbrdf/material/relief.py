@@ -54,12 +54,8 @@ def occlusion(height: Tensor, periodic: bool = False) -> Tensor:
     """Share of an even sky's light that each texel of a relief sees, R x R in [0, 1].
 
     The highest slope to what lies within :data:`FARTHEST` is the horizon of a direction; a flat texel gets
-    cos^2 of its angle of the light from there, averaged over :data:`DIRECTIONS`. Beyond the border the relief
-    goes on as it ends.
-
-    Args:
-        height: R x R in patch sides, row 0 at the top.
-        periodic: whether it begins anew beyond the border instead.
+    cos^2 of its angle of the light from there, averaged over :data:`DIRECTIONS`. Heights are R x R in patch
+    sides, row 0 at the top; beyond the border they go on as they end, or begin anew where ``periodic``.
 
     Source: Bavoil, Sainz and Dimitrov 2008, "Image-space horizon-based ambient occlusion".
     """

@@ -28,11 +28,8 @@ def seamless(svbrdf: SVBRDF) -> tuple[SVBRDF, float]:
     The overlap is the one whose best cuts differ least, so that tiles and weaves end where they began; it is
     the same both ways, and a square stays a square. What is seamless already comes back as it is.
 
-    Args:
-        svbrdf: of any resolution, which it keeps.
-
     Returns:
-        The material, and which part of its side it now shows.
+        The material at its resolution, and which part of its side it now shows.
 
     Raises:
         MapsError: fewer than 16 texels a side.
