@@ -12,14 +12,13 @@ import struct
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Any, NamedTuple
 
+import imagecodecs
 import numpy as np
+from PIL import Image, ImageCms
 
 from ..color import RESPONSES, Operations
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
 
 REC709 = 0.64, 0.33, 0.30, 0.60, 0.15, 0.06, 0.3127, 0.3290  # x and y of red, green, blue and white
 ADOBE_RGB = 0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.3290
@@ -52,12 +51,12 @@ class Profile(NamedTuple):
     reason: str = ""
 
 
-def profile_of(image: Image, path: Path) -> Profile | None:
+def profile_of(image: Image.Image, path: Path) -> Profile | None:
     """The profile that a picture states whose pixels are not read yet; None for sRGB's and for none."""
     points = _cicp(path) if image.format == "PNG" else image.info.get("nclx_profile")
     icc = image.info.get("icc_profile")
     if points and (image.format == "PNG" or not icc):
-        if points.get("full_range_flag") == 0 and _made_by_sony(image):
+        if points.get("full_range_flag") == 0 and str(exif_of(image, MAKE)).upper().startswith("SONY"):
             return Profile("limited range", reason="Sony's cameras state it of full range: its decoder clips")
         return _of_points(points["color_primaries"], points["transfer_characteristics"])
     if icc:
@@ -67,6 +66,15 @@ def profile_of(image: Image, path: Path) -> Profile | None:
     if image.format == "PNG" and "srgb" not in image.info:
         return _of_png(image)
     return None if image.format == "PNG" else _of_exif(image)  # that of a PNG would decode it
+
+
+def exif_of(image: Image.Image, tag: int, block: int = 0) -> Any:
+    """A value of a block of EXIF, by default the first; None where there is none, or it cannot be read."""
+    try:
+        found = Image.Image.getexif(image)  # that of a PNG would decode it
+        return (found.get_ifd(block) if block else found).get(tag)
+    except Exception:
+        return None
 
 
 def to_srgb(pixels: np.ndarray, profile: Profile) -> tuple[np.ndarray, float]:
@@ -121,8 +129,6 @@ def _to_xyz(chromaticities: Sequence[float]) -> np.ndarray:
 
 
 def _transformed(pixels: np.ndarray, profile: Profile, kind: type) -> np.ndarray:
-    import imagecodecs
-
     # of 16 bits, littleCMS would interpolate between colours of a grid: off by up to 16/255 from ProPhoto
     exactly = imagecodecs.CMS.FLAGS.NOOPTIMIZE if pixels.dtype == np.uint16 else 0
     return imagecodecs.cms_transform(pixels, profile.icc, imagecodecs.cms_profile("srgb"), outdtype=kind,
@@ -133,8 +139,6 @@ def _transformed(pixels: np.ndarray, profile: Profile, kind: type) -> np.ndarray
 @cache
 def _made(name: str, chromaticities: tuple[float, ...], gamma: float | None) -> Profile | None:
     """A profile of these chromaticities, with the curve of sRGB for no gamma."""
-    import imagecodecs
-
     curve = {"gamma": gamma} if gamma else {"transferfunction": RESPONSES["srgb"].decode(
         np.linspace(0, 1, 4096, dtype=np.float32), Operations(np.where, np.maximum))}
     return _unless_srgb(Profile(name, imagecodecs.cms_profile(
@@ -153,8 +157,6 @@ def _unless_srgb(profile: Profile) -> Profile | None:
 def _of_icc(icc: bytes) -> Profile | None:
     name = "a damaged ICC profile"
     try:
-        from PIL import ImageCms
-
         opened = ImageCms.ImageCmsProfile(io.BytesIO(icc))
         name = ImageCms.getProfileDescription(opened).strip() or "a nameless ICC profile"
         if (space := opened.profile.xcolor_space.strip()) not in ("RGB", "GRAY"):
@@ -172,19 +174,12 @@ def _of_points(primaries: int, transfer: int) -> Profile | None:
     return _made(*PRIMARIES.get(primaries, PRIMARIES[1]), GAMMAS.get(transfer))
 
 
-def _of_png(image: Image) -> Profile | None:
+def _of_png(image: Image.Image) -> Profile | None:
     gamma = image.info.get("gamma")
     white_first = image.info.get("chromaticity")
     corners = white_first[2:] + white_first[:2] if white_first else REC709
     other = 1 / gamma if gamma and abs(gamma - USUAL_GAMMA[0]) > USUAL_GAMMA[1] else None
     return _made("gAMA and cHRM of PNG", tuple(corners), other) if other or not is_rec709(corners) else None
-
-
-def _made_by_sony(image: Image) -> bool:
-    try:
-        return str(image.getexif().get(MAKE)).upper().startswith("SONY")
-    except Exception:  # an EXIF block that cannot be read
-        return False
 
 
 def _cicp(path: Path) -> dict[str, int] | None:
@@ -202,13 +197,9 @@ def _cicp(path: Path) -> dict[str, int] | None:
     return None
 
 
-def _of_exif(image: Image) -> Profile | None:
+def _of_exif(image: Image.Image) -> Profile | None:
     """Adobe RGB, often without a profile: interoperability R03 (DCF 2.0), or a color space of 2."""
-    try:
-        exif = type(image).getexif(image)
-        space, rules = exif.get_ifd(0x8769).get(0xA001), str(exif.get_ifd(0xA005).get(1, ""))
-    except Exception:  # an EXIF block that cannot be read
-        return None
+    space, rules = exif_of(image, 0xA001, 0x8769), str(exif_of(image, 1, 0xA005) or "")
     if space == 2 or rules.startswith("R03"):
         return _made("Adobe RGB", ADOBE_RGB, 2.19921875)
     unknown = Profile('the color space "uncalibrated" of EXIF', reason="no profile says which it is")

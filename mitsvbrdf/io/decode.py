@@ -9,15 +9,15 @@ import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+import imagecodecs
 import numpy as np
+import simplejpeg
+from PIL import Image
 
 from ..errors import InputWarning, MitsvbrdfError
-from .colour_profile import Profile, profile_of, to_srgb
-
-if TYPE_CHECKING:
-    from PIL.Image import Image
+from .colour_profile import Profile, exif_of, profile_of, to_srgb
 
 MOST_PIXELS = 250_000_000  # of a picture; the largest sensors of phones have 200 million
 MOST_BYTES = 8 * MOST_PIXELS  # of its file
@@ -25,7 +25,7 @@ MAGIC = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG", b"II*\0": "TIFF",
 HEIF_BRANDS = b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"
 KINDS = "PNG", "JPEG", "TIFF", "WEBP", "HEIF"
 DNG_VERSION = b"\x12\xc6\1\0\4\0\0\0", b"\xc6\x12\0\1\0\0\0\4"  # tag 50706 of TIFF, four bytes
-BITS, PHOTOMETRIC, EXTRA_SAMPLES = 258, 262, 338  # tags of TIFF
+BITS, PHOTOMETRIC, ORIENTATION, EXTRA_SAMPLES = 258, 262, 274, 338  # tags of TIFF; EXIF has the third
 NEGATIVE = "negative"  # grey whose white is 0
 FOREIGN = "CMYK", "LAB", "HSV"  # Pillow's names of channels that are no RGB
 OPAQUE = 0.98  # of the most opaque pixel; a picture of one alpha has no mask
@@ -75,7 +75,7 @@ def header(path: Path, error: type[MitsvbrdfError]) -> Header:
             _check_boxes(path)
             needed("pillow_heif", "heic", path, error).register_heif_opener()
         with opened(path, kind) as image:
-            size, turned = image.size, orientation(image)
+            size, turned = image.size, exif_of(image, ORIENTATION)
             if kind == "HEIF":  # decoded as it is shown; the sensor's pixels are what the lens knows
                 turned = image.info.get("original_orientation") or 1
                 size = size[::-1] if turned in (6, 8) else size
@@ -157,27 +157,14 @@ def check_size(path: Path, size: tuple[int, int], error: type[MitsvbrdfError]) -
 
 
 @contextlib.contextmanager
-def opened(path: Path, kind: str) -> Iterator[Image]:
+def opened(path: Path, kind: str) -> Iterator[Image.Image]:
     """A file of this kind in Pillow, and of no other: Pillow hands PostScript of any name to Ghostscript."""
-    from PIL import Image
-
     most, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(path, formats=(kind,)) as image:  # of EXIF
             yield image
     finally:
         Image.MAX_IMAGE_PIXELS = most
-
-
-def orientation(image: Image) -> int:
-    """EXIF's, 1 to 8, of the header alone; 1 where there is none."""
-    from PIL import Image
-
-    try:
-        found = Image.Image.getexif(image).get(0x0112, 1)  # that of a PNG would decode it
-    except Exception:  # an EXIF block that cannot be read
-        return 1
-    return found if found in range(1, 9) else 1
 
 
 def _png(path: Path, content: bytes, masked: bool) -> np.ndarray:
@@ -200,8 +187,6 @@ def _png(path: Path, content: bytes, masked: bool) -> np.ndarray:
 
 def _jpeg(path: Path, content: bytes) -> np.ndarray:
     """Warns where the decoder complained. Only libjpeg-turbo's own interface tells that."""
-    import simplejpeg
-
     try:
         return simplejpeg.decode_jpeg(content, strict=True)
     except ValueError as complaint:
@@ -215,8 +200,6 @@ def _jpeg(path: Path, content: bytes) -> np.ndarray:
 
 
 def _tiff(content: bytes, masked: bool) -> np.ndarray:
-    import imagecodecs
-
     try:
         pixels = imagecodecs.tiff_decode(content)
     except Exception as reason:  # libtiff's own

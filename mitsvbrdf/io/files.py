@@ -24,20 +24,12 @@ from ..errors import ConfigError, OutputError
 
 wrote = threading.Event()  # whether this process has written a file
 AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of Linux
-# No link is followed, no pipe waited for. Each is a flag of some systems only.
-_CAREFULLY = sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_BINARY"))
+_CAREFULLY = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC  # no link is followed, no pipe waited for
 
 
 def write_json(path: Path, value: object) -> None:
     """Indented JSON; NaN and infinity are refused, since JSON has none."""
     write_bytes(path, (json.dumps(value, indent=1, allow_nan=False) + "\n").encode())
-
-
-def read_regular(path: Path, most: int) -> bytes:
-    """A regular file of so many bytes at most, else ValueError: a pipe or a device would be waited for."""
-    if not path.is_file() or path.stat().st_size > most:
-        raise ValueError(f"no regular file of {most >> 20} MiB at most")
-    return path.read_bytes()
 
 
 def write_bytes(path: Path, data: bytes) -> None:
@@ -87,7 +79,7 @@ def file_lock(path: Path, seconds: float = -1) -> Iterator[None]:
     try:
         yield
     finally:
-        with contextlib.suppress(OSError):  # Windows removes no open file
+        with contextlib.suppress(OSError):
             place.unlink()
         lock.release()
 
@@ -120,6 +112,14 @@ def file_hash(path: Path) -> str:
     """SHA-256 of a regular file's content, in hex."""
     with open_regular(Path(os.path.realpath(path))) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def read_regular(path: Path, most: int, links: bool = True) -> bytes:
+    """The content of a regular file, by default also by a link; ValueError for more than ``most`` bytes."""
+    with open_regular(Path(os.path.realpath(path)) if links else path) as file:
+        if os.fstat(file.fileno()).st_size > most:
+            raise ValueError(f"more than {most >> 20} MiB")
+        return file.read()
 
 
 def open_regular(path: Path) -> io.BufferedReader:

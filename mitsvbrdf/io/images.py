@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
+import OpenEXR
 import torch
 from torch import Tensor
 
@@ -68,8 +69,6 @@ def read_exr(path: Path, error: type[MitsvbrdfError]) -> np.ndarray:
     The picture is R, G, B, or X, Y, Z, or two or one of them, at the top level or in a layer of its own. A
     file that is missing, damaged or too large, or leaves open which picture, raises ``error``.
     """
-    import OpenEXR
-
     if not path.is_file():
         raise error("an image file", f"no file at {path}", "check the name")
     try:
@@ -99,8 +98,6 @@ def read_exr(path: Path, error: type[MitsvbrdfError]) -> np.ndarray:
 
 def _together(path: Path) -> np.ndarray | None:
     """Red, green and blue in one piece; None where they, or alpha, differ in kind."""
-    import OpenEXR
-
     with contextlib.suppress(Exception):  # of whatever kind OpenEXR's is
         (channel,) = OpenEXR.File(str(path)).channels().values()
         return channel.pixels[..., :3]
@@ -147,8 +144,6 @@ def _picture(names: Sequence[str], path: Path, error: type[MitsvbrdfError]) -> l
 
 def _in_rec709(linear: Tensor, path: Path, error: type[MitsvbrdfError]) -> Tensor:
     """Pixels of an EXR in the colours of Rec. 709, from those that its header states."""
-    import OpenEXR
-
     stated = OpenEXR.File(str(path), header_only=True).parts[0].header.get("chromaticities")
     if stated is None or is_rec709(stated):
         return linear
@@ -217,8 +212,6 @@ def write_exr(path: Path, image: Tensor) -> None:
 
 def write_channels(path: Path, channels: Mapping[str, np.ndarray]) -> None:
     """A ZIP-compressed EXR of named channels."""
-    import OpenEXR
-
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     planes = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
     with atomic_write(path) as temporary:

@@ -4,13 +4,12 @@ import functools
 import json
 import math
 import operator
-import os
 from pathlib import Path
 from typing import Any, TypedDict
 
 import msgspec
 
-from .files import open_regular
+from .files import read_regular
 
 MOST_BYTES = 2**28
 LARGEST = 2**63  # of whole numbers; longer ones overflow tensors and floats
@@ -23,10 +22,7 @@ def load(path: Path, kind: type | tuple[type, ...] = dict, links: bool = True) -
     OSError: it cannot be read, or is no regular file. ValueError: it is larger than 256 MiB, or
     :func:`parsed` refuses its content.
     """
-    with open_regular(Path(os.path.realpath(path)) if links else path) as file:
-        if os.fstat(file.fileno()).st_size > MOST_BYTES:
-            raise ValueError(f"more than {MOST_BYTES >> 20} MiB")
-        return parsed(file.read(), kind)
+    return parsed(read_regular(path, MOST_BYTES, links), kind)
 
 
 def parsed(text: str | bytes, kind: type | tuple[type, ...] = dict) -> Any:

@@ -138,7 +138,7 @@ def _begin(out: Path, staged: Path, keep: tuple[str, ...]) -> None:
 def _check_own(out: Path, staged: Path, keep: tuple[str, ...]) -> None:
     """Raise OutputError for a folder that we did not make, or where what is gone on from is not ours."""
     home = out if out.exists() else out.parent
-    owners = {os.geteuid(), home.stat().st_uid} if hasattr(os, "geteuid") else {0}
+    owners = {os.geteuid(), home.stat().st_uid}
     kept = [staged / name for name in keep if os.path.lexists(staged / name)]
     inner = [Path(here, name) for place in kept for here, folders, names in os.walk(place)
              for name in (*folders, *names)]

@@ -11,8 +11,7 @@ from .provenance import memory_gib
 PROCESS = 0.7  # GiB of a process that has loaded torch and Mitsuba
 
 
-def check_room(side: int, held: float, out: Path | None = None, written: float = 0.0,
-               way_out: str = "--resolution {} fits") -> None:
+def check_room(side: int, held: float, out: Path | None = None, written: float = 0.0) -> None:
     """Raise ConfigError, naming what would fit, where a command cannot end for lack of memory or disk.
 
     Args:
@@ -20,7 +19,6 @@ def check_room(side: int, held: float, out: Path | None = None, written: float =
         held: bytes of memory that it needs for each of them, as measured.
         out: what it writes to; None: nothing large.
         written: bytes that it writes for each of them.
-        way_out: what to say of the largest side that fits.
     """
     memory = memory_gib()[1]
     rooms = [("memory", memory - PROCESS, held, PROCESS)]
@@ -31,5 +29,6 @@ def check_room(side: int, held: float, out: Path | None = None, written: float =
     for what, free, each, beside in rooms:
         if (needed := each * side**2 / 2**30) > free:
             fits = math.isqrt(int(max(free, 0.0) * 2**30 / each)) // 64 * 64
+            way_out = f"--resolution {fits} fits" if fits else "free some"
             raise ConfigError(f"{needed + beside:.1f} GiB of {what} for {side} px",
-                              f"{free + beside:.1f} GiB", way_out.format(fits) if fits else "free some")
+                              f"{free + beside:.1f} GiB", way_out)

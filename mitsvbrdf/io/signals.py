@@ -22,7 +22,8 @@ def interrupt(number: int, frame: FrameType | None) -> None:
     """
     while frame is not None:
         if frame.f_globals.get("__name__") == "importlib._bootstrap":
-            _waiting[:] = [threading.Timer(AGAIN, _to_main_thread, (number,))]
+            main = threading.main_thread().ident
+            _waiting[:] = [threading.Timer(AGAIN, signal.pthread_kill, (main, number))]
             _waiting[0].daemon = True
             _waiting[0].start()
             return
@@ -37,14 +38,6 @@ def still_waiting() -> bool:
     for again in waited:
         again.cancel()
     return bool(waited)
-
-
-def _to_main_thread(number: int) -> None:
-    main = threading.main_thread().ident
-    if main is not None and hasattr(signal, "pthread_kill"):
-        signal.pthread_kill(main, number)
-    else:
-        signal.raise_signal(number)
 
 
 @contextlib.contextmanager

@@ -79,14 +79,9 @@ def slot_values(bsdf: str, maps: dict[str, Any], needs: Needs, stock: bool = Fal
 
 
 def plugin(bsdf: str, needs: Needs, texture: Callable[[str], Any], stock: bool = False) -> dict:
-    """The Mitsuba plugin dictionary of a material.
+    """The Mitsuba plugin dictionary of a material; ``texture`` makes that of a slot of :func:`slot_values`.
 
-    Args:
-        bsdf: ``roughconductor`` or ``principled``.
-        needs: which lobes to sum, whether there is a normal map, and whether reflectance follows the angle
-            (real Fresnel reflectance, needed away from co-located views) or is constant.
-        texture: makes the texture of a slot, by its name in :func:`slot_values`.
-        stock: whether only Mitsuba's own plugins are used, as in a file for others.
+    ``stock``: of Mitsuba's own plugins alone, as in a file for others.
     """
     if bsdf == "principled":
         shading = {"type": "principled", "base_color": texture("base_color"),

@@ -92,16 +92,9 @@ def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
             raise
         finally:
             _forgotten.clear()
-            # Mitsuba's render leaves a Ctrl-C that wakes no waiting thread
-            if hasattr(signal, "siginterrupt"):
-                signal.siginterrupt(signal.SIGINT, True)
+            signal.siginterrupt(signal.SIGINT, True)  # Mitsuba's render leaves a Ctrl-C that wakes no thread
             if mi.variant() != before:
-                put_back("the Mitsuba variant", partial(_set_again, mi, before))
-
-
-def _set_again(mi: ModuleType, variant: str) -> None:
-    with PROCESS:
-        set_variant(mi, variant)
+                put_back("the Mitsuba variant", partial(set_variant, mi, before))
 
 
 @contextlib.contextmanager

@@ -198,14 +198,15 @@ def set_variant(mi: ModuleType, variant: str) -> None:
 
     Afterwards they stay those of the variant that the program around us has set.
     """
-    integrators = vars(sys.modules.get(INTEGRATORS, ModuleType(INTEGRATORS)))
-    known = variant in _registered and integrators.pop(FIRST, None)  # without: no reload
-    try:
-        mi.set_variant(variant)
-    finally:
-        if known:
-            integrators.setdefault(FIRST, known)
-    _registered.add(variant)
+    with PROCESS:
+        integrators = vars(sys.modules.get(INTEGRATORS, ModuleType(INTEGRATORS)))
+        known = variant in _registered and integrators.pop(FIRST, None)  # without: no reload
+        try:
+            mi.set_variant(variant)
+        finally:
+            if known:
+                integrators.setdefault(FIRST, known)
+        _registered.add(variant)
 
 
 def mitsuba_module(variant: str = "llvm_ad_rgb") -> ModuleType:
