@@ -1,18 +1,9 @@
 """A Z-test for pictures with noise: is a path-traced picture off by more than its own noise explains?
 
 As in Mitsuba's own test suite (``src/render/tests/test_renders.py``): a two-sided test of every value with
-Sidak's correction. The mean of each channel is tested too, since a small bias hides in the noise of each
-pixel but not of all. Pixels and means share the significance level evenly.
-
-Assumed:
-
-- Pixels are independent: a box filter, one sample stream each. (Channels of a pixel may depend on each other:
-  Sidak's correction holds for two-sided tests of jointly normal values, however correlated.)
-- The picture is the mean of so many samples that its values are near normal even 4 to 5 standard deviations
-  out. Fireflies are not; ``outliers`` lets a share of the values off, 0.0025 in Mitsuba's suite.
-- The variance is that of the picture under test, or is estimated from independent passes of it, best 16 or
-  more with several samples each. Student's t, turned into a normal score (Wallace 1959), allows for the
-  estimate.
+Sidak's correction, which holds however the channels of a pixel depend on each other. The mean of each channel
+is tested too: pixels and means share the significance level evenly. docs/testing.md says what a picture must
+be like. Where the variance is estimated from passes, Student's t, turned into a normal score, allows for it.
 
 Measured on made materials under an area light, 24 px, 16 passes of 4 samples, 200 seeds, significance 0.01:
 leather fails 1 % of the time; glazed tiles, whose sharp highlights few samples find, 12.5 %, and 0.5 % with
@@ -23,11 +14,12 @@ import math
 from dataclasses import dataclass, field
 
 import torch
+from scipy import stats
 from torch import Tensor
 
 from ..errors import ConfigError, MapsError
 
-# with fewer, Wallace's score of a far-out value is 25 % or more off, and the test misses everything
+# of 64 x 64 pixels, a value is outside from 18 deviations on; with six passes from 34, which misses much
 FEWEST_PASSES = 8
 SUM_ROUNDING = 1e-5  # float32 sums are off by as much, relative: no standard deviation counts as less
 
@@ -83,17 +75,18 @@ def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, refe
                           "give the share of the values, e.g. 0.0025")
     image, reference, spread = image.double(), reference.double(), variance_or_passes.double()
     degrees = math.inf
-    if spread.ndim == image.ndim + 1:
+    if (image.ndim != 3 or not image.shape == reference.shape == spread.shape[-3:]
+            or spread.ndim not in (3, 4)):
+        shapes = " and ".join(str(tuple(each.shape)) for each in (image, spread, reference))
+        raise MapsError("image, variance and reference of one shape H x W x C", shapes,
+                        "compare one view at a time")
+    if spread.ndim == 4:
         passes, degrees = spread, len(spread) - 1
         if len(passes) < FEWEST_PASSES or not torch.allclose(passes.mean(dim=0), image, rtol=1e-4, atol=1e-6):
             raise MapsError(f"{FEWEST_PASSES} passes or more, whose mean the image is",
                             f"{len(passes)} passes", "render "
                             "with that many seeds and give the mean of all as the image")
         spread = passes.var(dim=0) / len(passes)
-    if image.ndim != 3 or not image.shape == reference.shape == spread.shape:
-        shapes = " and ".join(str(tuple(each.shape)) for each in (image, spread, reference))
-        raise MapsError("image, variance and reference of one shape H x W x C", shapes,
-                        "compare one view at a time")
     for each in (spread, torch.as_tensor(reference_variance)):
         if not (torch.isfinite(each) & (each >= 0)).all():
             raise MapsError("variances that are finite and not below 0",
@@ -102,24 +95,16 @@ def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, refe
     off = image - reference
     variance = (spread + reference_variance).clamp_min((SUM_ROUNDING * float(reference.abs().mean())) ** 2)
     z = _normal_score(off / variance.sqrt(), degrees)
-    z_limit, bias_limit = (_two_sided(1 - (1 - significance) ** (0.5 / n)) for n in (z.numel(), z.shape[-1]))
+    z_limit, bias_limit = (float(stats.norm.isf(0.5 - 0.5 * (1 - significance) ** (0.5 / n)))
+                           for n in (z.numel(), z.shape[-1]))
     outside = float((~(z.abs() <= z_limit)).double().mean())
     bias = off.sum(dim=(0, 1)) / variance.sum(dim=(0, 1)).sqrt()
     return ZTest(z, z_limit, outside, outliers, bias, bias_limit)
 
 
 def _normal_score(t: Tensor, degrees: float) -> Tensor:
-    """A t statistic as the standard normal value of nearly the same tail probability.
-
-    Source: D. L. Wallace, "Bounds on normal approximations to Student's and the chi-square distributions",
-    1959.
-    """
+    """A t statistic as the standard normal value of the same tail probability."""
     if math.isinf(degrees):
         return t
-    return (t.sign() * (8 * degrees + 1) / (8 * degrees + 3)
-            * torch.sqrt(degrees * torch.log1p(t**2 / degrees)))
-
-
-def _two_sided(p: float) -> float:
-    """How far out a standard normal value lies with this probability, on either side."""
-    return -float(torch.special.ndtri(torch.tensor(p / 2, dtype=torch.float64)))
+    tail = stats.t.sf(t.abs().cpu(), degrees)
+    return t.sign() * torch.as_tensor(stats.norm.isf(tail), device=t.device)
