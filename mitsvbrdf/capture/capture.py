@@ -29,14 +29,9 @@ class Converted:
 
 
 def converted(stated: Mapping[str, Profile | None], outside: Mapping[str, float]) -> dict[str, Converted]:
-    """What was converted, by the profile's name.
+    """What was converted, by the profile's name; of the photos in ``outside``, shares of pixels by name.
 
-    Args:
-        stated: profiles by name of the photo; None: sRGB.
-        outside: shares of pixels outside of sRGB, by name of the photos that are used.
-
-    Warns:
-        InputWarning: a profile that cannot be used.
+    InputWarning: a profile that cannot be used.
     """
     names: dict[Profile, list[str]] = {}
     for name in outside:

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -85,10 +86,10 @@ def unsure_note(share: float) -> str:
 
 @dataclass(frozen=True)
 class Pose:
-    """Where a camera stood and how it was turned."""
+    """Where a camera stood and how it was turned; or N cameras at once."""
 
-    position: Array  # of the lens in the world, 3
-    rotation: Array  # 3 x 3, from world to camera axes
+    position: Array  # of the lens in the world, 3 (or N x 3)
+    rotation: Array  # 3 x 3 (or N x 3 x 3), from world to camera axes
 
     @classmethod
     def looking_at(cls, position: ArrayLike, target: ArrayLike, turn: float = 0.0) -> Pose:
@@ -99,6 +100,10 @@ class Pose:
         x = np.cross(z, [np.sin(turn), np.cos(turn), 0.0])
         x = x / np.linalg.norm(x)
         return cls(position, np.stack((x, np.cross(z, x), z)))
+
+    def pick(self, index: Any) -> Pose:
+        """One or some of N."""
+        return Pose(self.position[index], self.rotation[index])
 
     def flash(self, lens: Lens) -> Array:
         """Where the flash was in the world, 3."""

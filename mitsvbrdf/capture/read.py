@@ -3,7 +3,7 @@
 import contextlib
 import os
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -35,20 +35,15 @@ MOST_SQUARE = 2048  # pixels a side of what is read of a photo without calibrati
 @entry()
 def read_capture(folder: str | Path, resolution: int | None = None, index: Sequence[int] | None = None,
                  transfer: color.Transfer | None = None, falloff: Falloff = "inverse-square",
-                 log: Callable[[str], None] | None = None,
                  report: Report = lambda text, share: None) -> Capture:
     """Read photos of one patch.
 
     Three kinds of folder are understood, in this order:
 
-    - ``capture.json`` as svbrdf-diff-renderer has it: ``camera_pos`` (rows x, y, z), ``light_pow`` (a number,
-      r g b, or one row a photo), ``im_size``, ``target_dir``, and where given ``light_pos`` (else the light
-      is at the camera), ``idx`` (which rows and photos ``NN.png|jpg`` are used, else all) and our own
-      ``transfer`` and ``calibration``; without ``camera_pos`` nothing is known of the views but that the
-      photos are rectified. Without ``capture.json``, another JSON file with ``camera_pos`` beside its
-      ``target_dir`` serves, such as ``optim_latent_256.json``;
-    - ``camera_pos.txt``, ``image_size.txt``, ``light_power.txt`` and where given ``light_pos.txt`` beside the
-      photos ``00.png|jpg``, ... (MaterialGAN);
+    - ``capture.json`` as svbrdf-diff-renderer has it (docs/formats.md lists its keys); without ``camera_pos``
+      nothing is known of the views but that the photos are rectified. Without ``capture.json``, another JSON
+      file with ``camera_pos`` beside its ``target_dir`` serves, such as ``optim_latent_256.json``;
+    - MaterialGAN's ``camera_pos.txt`` and other text files beside the photos ``00.png|jpg``, ...;
     - photos alone, as a phone wrote them: three or more as
       :func:`~mitsvbrdf.capture.stages.make_capture` sees them, upright as the first; fewer, the first
       by name alone, with the stated default geometry.
@@ -61,7 +56,6 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
         transfer: how display values encode radiance; None: what the capture states, else ``gamma2.2`` for
             calibrated captures (the field's habit), ``srgb`` for plain photos, and ``linear`` for RAW files.
         falloff: see :class:`~mitsvbrdf.views.Views`.
-        log: called with each note of the capture.
         report: told what is going on with plain photos, which take long, and the share done.
 
     Returns:
@@ -74,8 +68,6 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
     Raises:
         CaptureError: photos or calibration that cannot be used, naming the file or row.
         ConfigError: options out of range.
-        OutputError: a command that was killed left the folder with files of two results, and it cannot be
-            written.
 
     Warns:
         InputWarning: the decoder of a photo complained; inside :func:`~mitsvbrdf.errors.strict` an error.
@@ -114,11 +106,7 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
     capture = laid_alike(capture)
     capture = capture if index is None else capture.pick(index)
     transfer, told = used_transfer(transfer or capture.transfer, capture.colours)
-    capture = _shrunk(capture.but(transfer=transfer, notes=(*capture.notes, *told)), resolution)
-    if log:
-        for note in capture.notes:
-            log(note)
-    return capture
+    return _shrunk(capture.but(transfer=transfer, notes=(*capture.notes, *told)), resolution)
 
 
 @entry()

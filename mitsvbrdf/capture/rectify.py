@@ -57,18 +57,9 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
               opaque: np.ndarray | None = None) -> np.ndarray:
     """A photo as seen from straight above: the patch in R x R pixels, row 0 at the top, undistorted.
 
-    Each pixel is the average over its area, from as many samples as the photo has pixels there, or more.
-
-    Args:
-        pixels: H x W x 3 as stored, 8 or 16 bits, or float32; its size may be that of ``lens`` divided by a
-            whole number.
-        size: side of the patch.
-        resolution: R.
-        opaque: H x W, False where a mask hides the photo; None: nowhere.
-
-    Returns:
-        R x R x 3 float32 in [0, 1] (integers are divided by their largest), NaN where the photo does not
-        reach or is masked.
+    Each pixel is the average over its area, from as many samples as the photo has pixels there, or more: R x
+    R x 3 float32 in [0, 1], NaN where the photo does not reach, or is not ``opaque`` (H x W). The photo is H
+    x W x 3 as stored, 8 or 16 bits or float32, in the size of ``lens`` or that divided by a whole number.
     """
     import cv2
 

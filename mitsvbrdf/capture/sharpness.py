@@ -35,13 +35,8 @@ def carried(middles: Sequence[np.ndarray], side: int, least: int) -> int:
     Noise is in no two photos the same, and what was enlarged has little contrast in its finest octave. So
     bands of an octave each are compared: with the next coarser band, and between photos.
 
-    Args:
-        middles: of two or more photos of one size, aligned (:func:`middle`).
-        side: of the whole photos in pixels.
-        least: the side at which nothing more is asked.
-
-    Returns:
-        The largest of ``side``, ``side`` / 2, ... whose octave counts; ``least`` at least.
+    Of ``middles`` of two or more aligned photos (:func:`middle`), ``side`` pixels a side as a whole, the
+    largest of ``side``, ``side`` / 2, ... whose octave counts; ``least`` at least.
     """
     if len(middles) < 2:
         return least

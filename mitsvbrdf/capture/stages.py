@@ -1,17 +1,7 @@
-"""From raw photos to a capture, in stages. Each stage is a function from a value to a value.
+"""From raw photos to a capture, in stages: photos of one camera, poses, rectified photos, light, verdicts.
 
-=========== =============== ============================================== ============
-stage       function        result                                         home
-=========== =============== ============================================== ============
-photos      of_one_camera   the photos of one lens                         photo.py
-poses       rig_from_...    the lens, and where it stood in each photo     align/
-rectified   Rectified.of    the patch as seen from straight above          rectify.py
-light       Lit.of          flash, vignetting, exposures of these photos   light/
-verdicts    judge           which of these photos are bad                  quality/
-=========== =============== ============================================== ============
-
-Each stage says which photos it rejects, and why. One photo at a time is in memory. Of each photo, the
-rectified patch is kept.
+Each stage is a function from a value to a value, and says which photos it rejects, and why. One photo at a
+time is in memory. Of each photo, the rectified patch is kept.
 """
 
 import math

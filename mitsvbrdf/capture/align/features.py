@@ -11,7 +11,9 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
 
+import cv2
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from ..lens import Array
@@ -43,8 +45,6 @@ class Features:
 
 def find_features(photo: Photo, mirror: bool = False) -> Features:
     """Features of a photo, or of its mirror image, from its mean over colours."""
-    import cv2
-
     pixels = photo.pixels(FEATURE_SIDE)
     grey = pixels.astype(np.float32).mean(axis=2) * (255 / np.iinfo(pixels.dtype).max)
     image = np.rint(grey[:, ::-1] if mirror else grey).astype(np.uint8)
@@ -65,8 +65,6 @@ def match(a: Features, b: Features, most: int = MOST_FEATURES) -> NDArray[np.int
     """Pairs (M x 2: index in a, in b) that are each other's nearest, clearly nearer than the second best, of
     so many of the strongest features of each.
     """
-    import torch
-
     if min(len(a), len(b)) < 2:
         return np.zeros((0, 2), dtype=np.intp)
     ours, theirs = torch.from_numpy(a.descriptors[:most]), torch.from_numpy(b.descriptors[:most])
@@ -86,8 +84,6 @@ def repeats(features: Features) -> float:
 
     Exact repeats of a pattern have 0.26 to 0.33; tiles, inlays and bricks that vary at most 0.05.
     """
-    import torch
-
     if len(features) <= LEAST_INLIERS:
         return 0.0
     points, ours = features.points[:FEW_FEATURES], torch.from_numpy(features.descriptors[:FEW_FEATURES])
@@ -105,8 +101,6 @@ def homography(source: Array, aim: Array, pixel: float) -> tuple[Array | None, N
 
     The threshold is in units of ``pixel`` pixels.
     """
-    import cv2
-
     if len(source) < LEAST_INLIERS:
         return None, np.zeros(len(source), dtype=bool)
     cv2.setRNGSeed(0)

@@ -9,7 +9,9 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 
+import cv2
 import numpy as np
+from scipy.optimize import least_squares
 
 from ...errors import CaptureError
 from ...io import Report
@@ -40,16 +42,8 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
                    report: Report = lambda text, share: None) -> Rig:
     """Lens and poses in cm from photos of the sheet; the patch is its middle 0.64, in z = 0.
 
-    Of photos rectified to the sheet its source is ``none``. One photo at a time is in memory.
-
-    Args:
-        photos: of one lens and size, in any orientation.
-        size_cm: of the frame of tags as printed, outer edge to outer edge.
-        depth_cm: how far the sheet lies above the material.
-
-    Returns:
-        The rig, with the standard deviation of each camera position; photos that do not help are in
-        ``rejected``.
+    Of photos rectified to the sheet its source is ``none``. One photo at a time is in memory. ``size_cm`` is
+    that of the frame of tags as printed, outer edge to outer edge; it lies ``depth_cm`` above the material.
 
     Raises:
         CaptureError: fewer than three photos show the sheet.
@@ -132,8 +126,6 @@ def _too_few(edges: Edges, sheet: Sheet) -> str | None:
 
 def _first_pose(lens: Lens, edges: Edges, sheet: Sheet, depth: float) -> Pose:
     """A pose from the corners of the tags."""
-    import cv2
-
     points = np.concatenate([sheet.corners[number] for number in edges.corners])
     _, turns, shifts, errors = cv2.solvePnPGeneric(points, np.concatenate(list(edges.corners.values())),
                                                    lens.matrix, lens.coefficients, flags=cv2.SOLVEPNP_IPPE)
@@ -145,8 +137,6 @@ def _first_pose(lens: Lens, edges: Edges, sheet: Sheet, depth: float) -> Pose:
 def _bundle(lens: Lens, focal_share: float, sheet: Sheet, depth: float, seen: dict[str, Edges]
             ) -> tuple[Lens, dict[str, Pose], dict[str, float], dict[str, float], float]:
     """The lens, poses, RMS errors (pixels), deviations of positions (cm), and of the focal length (share)."""
-    from scipy.optimize import least_squares
-
     problem = _Bundle(lens, focal_share, sheet, depth, seen)
     found = least_squares(problem.residuals, np.zeros(problem.layout.size), problem.slopes, loss="soft_l1",
                           f_scale=3.0, x_scale="jac")
@@ -201,8 +191,6 @@ class _Bundle:
 
     def pose(self, name: str, own: Array) -> Pose:
         """The pose of a photo by its six unknowns."""
-        import cv2
-
         first, moved = self.firsts[name], POSE.unpack(own)
         return Pose(first.position + moved.position * np.linalg.norm(first.position),
                     cv2.Rodrigues(moved.rotation)[0] @ first.rotation)

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.optimize import linprog
 
 from ...io.layout import Layout
 from ..lens import Array, Lens, Pose, on_plane
@@ -58,8 +59,6 @@ def largest_square(outlines: Sequence[Array]) -> float:
 
     A linear programme: a square of half side h is in a half plane where n . centre + h (|n_x| + |n_y|) <= b.
     """
-    from scipy.optimize import linprog
-
     sides = HALF_PLANE.unpack(np.concatenate(outlines))
     reach = np.abs(sides.normal).sum(axis=1)
     found = linprog(SQUARE.pack(half=-1.0), np.column_stack((sides.normal, reach)), sides.offset,
@@ -69,8 +68,6 @@ def largest_square(outlines: Sequence[Array]) -> float:
 
 def centred_square(outlines: Sequence[Array], side: float, below: Array) -> Array:
     """Centre (x, y) nearest to ``below`` of an upright square of this side in all outlines."""
-    from scipy.optimize import linprog
-
     # away: |centre - below|
     sides, unknowns = HALF_PLANE.unpack(np.concatenate(outlines)), Layout(centre=(2,), away=(2,))
     left = sides.offset - side / 2 * np.abs(sides.normal).sum(axis=1)

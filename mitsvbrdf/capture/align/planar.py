@@ -16,6 +16,8 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from ...io.layout import Layout
 from ..lens import Array, Lens, Pose, rays
@@ -49,30 +51,18 @@ class Match:
 
     def errors(self, lens: Lens, poses: dict[str, Pose]) -> Array:
         """Distance in pixels of ``b`` to where each pixel of ``a`` is carried, K."""
-        return np.linalg.norm(self.at_b - carried(lens, poses[self.a], poses[self.b], self.at_a), axis=1)
+        seen = rays(lens, self.at_a)
+        return np.linalg.norm(self.at_b - carried(lens, poses[self.a], poses[self.b], seen), axis=1)
 
 
-def carried(lens: Lens, a: Pose, b: Pose, pixels: Array) -> Array:
-    """Where in photo b the points of the plane are that pixels (K x 2) of photo a see."""
-    return _carried(lens, a.rotation, a.position, b.rotation, b.position, rays(lens, pixels))
-
-
-def _carried(lens: Lens, rotation_a: Array, position_a: Array, rotation_b: Array, position_b: Array,
-             directions: Array) -> Array:
-    """As :func:`carried`; each row may have poses of its own (K x 3 x 3, K x 3)."""
-    down = np.einsum("...ji,...j->...i", rotation_a, directions)
-    point = position_a - down * (position_a[..., 2:] / down[..., 2:])
-    seen = np.einsum("...ij,...j->...i", rotation_b, point - position_b)
+def carried(lens: Lens, a: Pose, b: Pose, directions: Array) -> Array:
+    """Where in photo b the points of the plane are that rays (K x 3) of photo a meet; or K photos each."""
+    down = np.einsum("...ji,...j->...i", a.rotation, directions)
+    point = a.position - down * (a.position[..., 2:] / down[..., 2:])
+    seen = np.einsum("...ij,...j->...i", b.rotation, point - b.position)
     at = seen[..., :2] / seen[..., 2:]
     r2 = np.square(at).sum(axis=-1, keepdims=True)
     return lens.focal * at * (1 + lens.distortion[0] * r2 + lens.distortion[1] * r2**2) + lens.middle
-
-
-def _turned(vectors: Array) -> Array:
-    """Rotations (... x 3 x 3) by rotation vectors (... x 3)."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_rotvec(vectors).as_matrix()
 
 
 def starts(lens: Lens, homographies: dict[str, Array], hub: str, most: int = 3) -> list[dict[str, Pose]]:
@@ -87,7 +77,7 @@ def starts(lens: Lens, homographies: dict[str, Array], hub: str, most: int = 3) 
     steps = np.deg2rad(np.arange(-48, 49, 4.0))
     tilts = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
     above = np.diag((1.0, -1.0, -1.0))  # looks straight down, the world's y up in the photo
-    hubs = _turned(np.pad(tilts, ((0, 0), (0, 1)))) @ above
+    hubs = Rotation.from_rotvec(np.pad(tilts, ((0, 0), (0, 1)))).as_matrix() @ above
     # of a plane's (x, y, 1), seen from (0, 0, 1)
     frames = np.concatenate((hubs[:, :, :2], -hubs[:, :, 2:]), axis=2)
     axes = maps[:, None] @ frames
@@ -120,18 +110,15 @@ def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match
     expected are ``focal`` pixels, with ``focal_share`` of it as deviation. Also given are the cost, which
     tells starts apart, and the focal length's standard deviation as a share.
     """
-    from scipy.optimize import least_squares
-
     problem = _Bundle(lens, poses, hub, matches, focal, focal_share)
     result = least_squares(problem.residuals, problem.start[problem.free], problem.slopes, x_scale="jac",
                            loss=problem.loss, max_nfev=steps, ftol=1e-6, xtol=1e-7)
-    found, rotations, positions = problem.rig(problem.full(result.x))
+    found, all_poses = problem.rig(problem.full(result.x))
     counted = np.where(np.arange(len(result.jac)) < 2 * problem.count, math.sqrt(ALIKE), 1)
     jacobian = result.jac / counted[:, None]
     focal_at = problem.layout.numbers.log_focal
     unsure = math.sqrt(np.linalg.inv(jacobian.T @ jacobian)[focal_at, focal_at])
-    placed = {name: Pose(positions[i], rotations[i]) for i, name in enumerate(poses)}
-    return found, placed, float(result.cost), unsure
+    return found, {name: all_poses.pick(i) for i, name in enumerate(poses)}, float(result.cost), unsure
 
 
 class _Bundle:
@@ -165,35 +152,33 @@ class _Bundle:
         values[self.free] = chosen
         return values
 
-    def rig(self, values: Array) -> tuple[Lens, Array, Array]:
-        """The lens, rotations N x 3 x 3 and positions N x 3."""
+    def rig(self, values: Array) -> tuple[Lens, Pose]:
+        """The lens, and N poses as one."""
         u = self.layout.unpack(values)
         own = POSE.unpack(u.poses)
         lens = replace(self.lens, focal=self.lens.focal * math.exp(u.log_focal),
                        distortion=tuple(u.distortion.tolist()))
-        return lens, _turned(own.rotation) @ self.rotations, own.position
+        return lens, Pose(own.position, Rotation.from_rotvec(own.rotation).as_matrix() @ self.rotations)
 
-    def _reprojection(self, seen: Array, lens: Lens, rotations: tuple[Array, Array],
-                      positions: tuple[Array, Array]) -> Array:
-        """Errors of rays (K x 3) of the first photos in the second ones, in deviations: K x 2."""
-        a, b = ((r[index], p[index]) for r, p, index in zip(rotations, positions, (self.first, self.second)))
-        return (_carried(lens, *a, *b, seen) - self.at_b) / self.sigma
+    def _reprojection(self, seen: Array, lens: Lens, a: Pose, b: Pose) -> Array:
+        """Errors of rays (K x 3) of the first photos in the second ones, by N poses, in deviations: K x 2."""
+        return (carried(lens, a.pick(self.first), b.pick(self.second), seen) - self.at_b) / self.sigma
 
     def _beforehand(self, values: Array) -> Array:
         """Errors of what is expected of lens, heights and tilts, in deviations: 3 + 3 N."""
-        _, rotations, positions = self.rig(values)
-        height = np.log(np.maximum(positions[:, 2], 1e-3))
+        _, poses = self.rig(values)
+        height = np.log(np.maximum(poses.position[:, 2], 1e-3))
         u = self.layout.unpack(values)
         shared = (np.array((u.log_focal + self.moved_before, *u.distortion))
                   / (self.focal_share, *DISTORTION_SD))
         return np.concatenate((shared, (height - height.mean()) / HEIGHT_SD,
-                               rotations[:, 2, :2].ravel() / math.sin(TILT_SD)))
+                               poses.rotation[:, 2, :2].ravel() / math.sin(TILT_SD)))
 
     def residuals(self, chosen: Array) -> Array:
         """2 K errors of matches, then those of what is expected, in deviations."""
         values = self.full(chosen)
-        lens, rotations, positions = self.rig(values)
-        error = self._reprojection(rays(lens, self.at_a), lens, (rotations,) * 2, (positions,) * 2)
+        lens, poses = self.rig(values)
+        error = self._reprojection(rays(lens, self.at_a), lens, poses, poses)
         return np.concatenate((np.nan_to_num(error, nan=1e3, posinf=1e3, neginf=-1e3).ravel(),
                                self._beforehand(values)))
 
@@ -204,22 +189,22 @@ class _Bundle:
         out = np.zeros((2 * self.count + expected, len(values)))
         matched, match = out[: 2 * self.count].reshape(self.count, 2, -1), np.arange(self.count)
 
-        def ends(moving: Any) -> list[tuple[Lens, Array, Array]]:
+        def ends(moving: Any) -> list[tuple[Lens, Pose]]:
             moved = [values.copy(), values.copy()]
             for each, sign in zip(moved, (1, -1)):
                 each[moving] += sign * step
             return [self.rig(each) for each in moved]
 
         for k in (at.log_focal, *at.distortion):
-            more, less = (self._reprojection(rays(f, self.at_a), f, (r, r), (p, p)) for f, r, p in ends(k))
+            more, less = (self._reprojection(rays(f, self.at_a), f, p, p) for f, p in ends(k))
             matched[:, :, k] = (more - less) / (2 * step)
-        lens, rotations, positions = self.rig(values)
+        lens, poses = self.rig(values)
         seen = rays(lens, self.at_a)
         for unknown in at.poses.T:
             both = ends(unknown)
-            more, less = (self._reprojection(seen, lens, (r, rotations), (p, positions)) for _, r, p in both)
+            more, less = (self._reprojection(seen, lens, moved, poses) for _, moved in both)
             matched[match, :, unknown[self.first]] += (more - less) / (2 * step)
-            more, less = (self._reprojection(seen, lens, (rotations, r), (positions, p)) for _, r, p in both)
+            more, less = (self._reprojection(seen, lens, poses, moved) for _, moved in both)
             matched[match, :, unknown[self.second]] += (more - less) / (2 * step)
         for k in np.flatnonzero(self.free):
             moved = np.zeros_like(values)

@@ -13,6 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeAlias
 
+import cv2
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -40,8 +41,6 @@ def profile_values(grey: NDArray, linear: NDArray[np.float32], corners: Array, a
     """Radiance at pixels ``at`` (... x 2) around a tag with these corners (4 x 2); NaN beyond the photo. It
     is ``linear`` by value of ``grey``, H x W of 8 or 16 bits.
     """
-    import cv2
-
     low = np.maximum(np.floor(corners.min(axis=0) - np.ptp(corners, axis=0) / 4).astype(int), 0)
     high = np.maximum(np.ceil(corners.max(axis=0) + np.ptp(corners, axis=0) / 4).astype(int) + 1, low + 1)
     window = linear[grey[low[1] : high[1], low[0] : high[0]]]
@@ -93,8 +92,6 @@ def measured_inside(grey: NDArray, linear: NDArray[np.float32], number: int,
     """Points of a tag's edges in cells from its top left corner, in pixels, the ways across; its corners,
     which lie within half a cell of those given (4 x 2 pixels).
     """
-    import cv2
-
     middle, out = EDGES[number]
     along, steps = out[:, ::-1], np.linspace(-REACH_INSIDE, REACH_INSIDE, PROFILE)
     on = middle[:, None] + along[:, None] * 0.8 * ((np.arange(WIDTH) + 0.5) / WIDTH - 0.5)[:, None]
@@ -162,8 +159,6 @@ def find_edges(photo: Photo, sheet: Sheet, patient: bool = True) -> Edges:
     """The tags of a photo, which is read at no more than 4100 pixels a side. With patience, a photo that
     hardly shows any is searched by other means, for what may be wrong, too.
     """
-    import cv2
-
     times = -(-max(photo.size) // MOST_PIXELS)
     image = photo.pixels(MOST_PIXELS)
     levels = np.arange(np.iinfo(image.dtype).max + 1) / np.iinfo(image.dtype).max
@@ -235,8 +230,6 @@ _OUT = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])
 
 def _measured(grey: NDArray, linear: NDArray[np.float32], corners: Array) -> Measured | None:
     """Points of a tag's edges in cells from its top left corner, in pixels, the ways across; its corners."""
-    import cv2
-
     found = corners
     on = CORNERS[:, None] + _ALONG[:, None] * _WAY[:, None]  # 4 x (POINTS * WIDTH) x 2
     for last in (False, True):

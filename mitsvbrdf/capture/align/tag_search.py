@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -27,8 +28,6 @@ WIDER = {"adaptiveThreshWinSizeMin": 23, "adaptiveThreshWinSizeMax": 143, "adapt
 
 def detected(grey: NDArray[np.uint8], **options: Any) -> dict[int, Array]:
     """Corners of tags (4 x 2) by id, none of one seen twice; options of OpenCV's ``DetectorParameters``."""
-    import cv2
-
     cells = [np.ascontiguousarray(tag_cells(number)[1:-1, 1:-1]).astype(np.uint8)
              for number in range(len(CODES))]
     rows = [cv2.aruco.Dictionary.getByteListFromBits(middle) for middle in cells]
@@ -54,8 +53,6 @@ def detected(grey: NDArray[np.uint8], **options: Any) -> dict[int, Array]:
 
 def sought(grey: NDArray[np.uint8], patient: bool = True, **options: Any) -> dict[int, Array]:
     """As :func:`detected`, with white around the photo; patiently, in a second range of thresholds, too."""
-    import cv2
-
     rim = round(RIM * max(grey.shape))
     framed = cv2.copyMakeBorder(grey, rim, rim, rim, rim, cv2.BORDER_CONSTANT, value=(255,))
     found = detected(framed, **options)
@@ -66,8 +63,6 @@ def sought(grey: NDArray[np.uint8], patient: bool = True, **options: Any) -> dic
 
 def sought_by_features(photo: Photo, sheet: Sheet) -> dict[int, Array]:
     """Corners of all tags (4 x 2 pixels of the photo) by id, from features of the print; empty: not found."""
-    import cv2
-
     picture, hole = sheet.picture(PRINT * 18 / sheet.size)
     picture[hole] = 128
     with tempfile.TemporaryDirectory() as folder:
@@ -86,8 +81,6 @@ def sought_by_features(photo: Photo, sheet: Sheet) -> dict[int, Array]:
 
 def fault_of(grey: NDArray[np.uint8]) -> str | None:
     """What is wrong with a photo whose tags are none, or None."""
-    import cv2
-
     if (count := len(sought(cv2.flip(grey, 1)))) >= LEAST_TAGS:
         return f"mirrored: {count} of 16 tags seen in its mirror image; give the file as the phone wrote it"
     if (count := len(sought(grey, detectInvertedMarker=True))) >= LEAST_TAGS:
@@ -98,8 +91,6 @@ def fault_of(grey: NDArray[np.uint8]) -> str | None:
 
 def expected(corners: Mapping[int, Array], sheet: Sheet) -> dict[int, Array]:
     """Where all tags should be (4 x 2) by id, if the sheet is flat and these are where they are."""
-    import cv2
-
     if not corners:
         return {}
     on_sheet = np.concatenate([sheet.corners[number][:, :2] for number in corners])

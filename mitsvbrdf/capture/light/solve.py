@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from ..lens import Array, Lens, Pose
 from ..rig import Rig
@@ -114,8 +115,6 @@ def _turned(found: _Found, counts: Array) -> _Found:
 
 
 def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
-    from scipy.optimize import least_squares
-
     problem = Problem(rig, samples)
     x = np.zeros(problem.layout.size)
     weights, scale = samples.weight * counts[samples.photo].clip(1e-9), 1.0

@@ -28,10 +28,7 @@ class NextView:
 def next_best_view(views: Views, names: Sequence[str], unit: str) -> NextView | None:
     """The place at the usual height for one more photo, which shows most new highlights; None: hardly any.
 
-    Args:
-        views: of the photos there are.
-        names: of their files.
-        unit: ``cm`` or ``patch sides``.
+    ``names`` are those of the photos there are, ``unit`` is ``cm`` or ``patch sides``.
     """
     side, size = 32, views.size
     sides = views.in_patch_sides().to(torch.float64)

@@ -51,9 +51,7 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, over
     Args:
         photos: N x R x R x 3 display values in [0, 1], rectified; N >= 3 for the comparison to mean anything.
         views: theirs; a light's place and power need be no better than roughly right.
-        transfer: of the photos.
-        overlap: share of the patch within each photo, by name, in the order of the photos.
-        evenness: see :class:`PhotoQuality`; None: it is not known.
+        overlap: see :class:`PhotoQuality`, by name in the order of the photos; so is ``evenness``.
         measured: N x R x R, False where photos are made up; None: nowhere.
     """
     shows = torch.ones_like(photos[..., 0], dtype=torch.bool) if measured is None else measured

@@ -105,13 +105,7 @@ def _twice(found: Sequence[PhotoQuality], photos: Tensor, views: Views,
 
 def blurred(photos: Sequence[Photo], reasons: Mapping[str, str],
             others: Collection[np.ndarray]) -> dict[str, str]:
-    """A better reason for photos without a pose that are blurred, which is why they have none.
-
-    Args:
-        photos: without a pose.
-        reasons: why they are rejected, by name.
-        others: whole photos that have a pose, H x W x 3, 8 or 16 bits.
-    """
+    """A better reason for photos without a pose that are blurred beside ``others``, which have one."""
     usual = float(np.median([detail_of(pixels) for pixels in others]))
     sharpness = {photo.name: detail_of(photo.pixels(LONG_SIDE)) / usual for photo in photos}
     return {name: f"blurred: {sharp:.2f} times as sharp as the others ({reasons[name]})"

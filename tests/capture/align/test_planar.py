@@ -10,13 +10,13 @@ from scipy.spatial.transform import Rotation
 
 from mitsvbrdf.capture.align.from_photos import rig_from_photos
 from mitsvbrdf.capture.align.planar import Match, adjust, carried, starts
-from mitsvbrdf.capture.lens import Lens, Pose
+from mitsvbrdf.capture.lens import Lens, Pose, rays
 
 
 def exact(lens, poses, columns, rows):
     """Matches of each pair of photos, without errors, at a grid of pixels."""
     grid = np.stack(np.meshgrid(columns, rows), axis=-1).reshape(-1, 2)
-    return [Match(a, b, grid, carried(lens, poses[a], poses[b], grid), 0.5)
+    return [Match(a, b, grid, carried(lens, poses[a], poses[b], rays(lens, grid)), 0.5)
             for a, b in combinations(poses, 2)]
 
 
