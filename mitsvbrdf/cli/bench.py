@@ -1,25 +1,21 @@
 """``mitsvbrdf bench``: error of the methods against run time."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, TypeVar
+from typing import Annotated, TypeVar
 
-from rich.box import SIMPLE_HEAD
-from rich.table import Table
 from tyro.conf import arg
 
+from ..bench.run import method_table, run
+from ..bench.table import Judged, judged, markdown, table
+from ..bench.tasks import data_folder, find_tasks
 from ..errors import ConfigError
 from ..fit.methods import METHODS
 from ..io import files
-from ..io.progress import print_rich, progress_bar, say, say_written
+from ..io.progress import figures_table, print_rich, progress_bar, say, say_written
 from ..render import RendererName, make_renderer
-from .options import Overwrite, Variant, check_new_files, check_side
-
-if TYPE_CHECKING:
-    from ..bench.table import Judged
+from .options import Overwrite, Variant, check_new_files, check_side, chosen
 
 T = TypeVar("T")
 Names = Annotated[str | None, arg(metavar="NAME,...")]
@@ -60,10 +56,6 @@ def bench(
     Each record is kept as soon as its fit is done: Ctrl-C loses one fit at most, and the same command
     continues. Nothing else should run meanwhile. docs/evaluation.md explains the errors.
     """
-    from ..bench.run import method_table, run
-    from ..bench.table import judged
-    from ..bench.tasks import data_folder, find_tasks
-
     files.check_output(json_file, page)
     picture = page.with_suffix(".svg") if page else None
     check_new_files(page, picture, overwrite=overwrite, read=[json_file])
@@ -72,12 +64,9 @@ def bench(
     draws = _numbers("--seeds", seeds, int, lambda x: 0 <= x < 2**32, "0,1,2")
     unseen = sorted(_numbers("--held-out", held_out, int, lambda x: x >= 0, "4,7"))
     every = method_table()
-    names = _split(",".join(METHODS) if methods is None else methods)
-    unknown = [name for name in names if name not in every]
-    if unknown or not names:
-        raise ConfigError(f"methods of {', '.join(every)}", ", ".join(unknown) or "none", "check --methods")
+    names = list(METHODS) if methods is None else chosen("--methods", methods, every)
     folder, engine = data_folder(data), make_renderer(renderer, variant)
-    known, real = (None if chosen is None else _split(chosen) for chosen in (materials, captures))
+    known, real = (None if asked is None else _split(asked) for asked in (materials, captures))
     todo = find_tasks(known, real, folder, resolution, unseen, views, engine)
     try:
         with progress_bar("measuring") as report:
@@ -99,13 +88,9 @@ def bench(
 
 def _print(groups: list[Judged]) -> None:
     """The tables on the terminal."""
-    from ..bench.table import table
-
     for group in groups:
         cells = table(group)
-        shown = Table(title=group.title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-        for column in ("", *cells.columns):
-            shown.add_column(column, justify="right" if column else "left")
+        shown = figures_table(group.title, list(cells.columns))
         for name, row in cells.iterrows():
             shown.add_row(*(cell.replace("**", "").replace("`", "") for cell in (str(name), *row)))
         print_rich(shown)
@@ -114,7 +99,6 @@ def _print(groups: list[Judged]) -> None:
 def _write(page: Path, picture: Path, groups: list[Judged]) -> None:
     """The page and its picture."""
     from ..bench.plot import plot, svg
-    from ..bench.table import markdown
 
     files.write_bytes(picture, svg(plot(groups)))
     text = f"# Error against run time\n\n![Error against seconds]({picture.name})\n\n{markdown(groups)}"

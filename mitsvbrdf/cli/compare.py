@@ -1,23 +1,22 @@
 """``mitsvbrdf compare``: maps of several methods on one page."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from ..calibrate.refine import Priors
 from ..capture import guess_diffuse
 from ..errors import ConfigError
+from ..evaluate.photos import Entry
+from ..evaluate.photos import compare as measure
 from ..io import files
 from ..io.progress import print_numbers, say, say_written
 from ..render import RendererName, make_renderer
+from ..report.compare_page import write_compare_page
 from ..views import photo_numbers
 from . import options
-
-if TYPE_CHECKING:
-    from ..evaluate.photos import Entry
 
 LARGEST_SIDE = 256  # pixels a side, where nothing else is asked for
 
@@ -42,10 +41,6 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
     one HTML file that needs no network. Photos that a fit saw are rendered with the views it ended with, all
     others as `mitsvbrdf evaluate` does.
     """
-    from ..calibrate.refine import Priors
-    from ..evaluate.photos import compare as measure
-    from ..report.compare_page import write_compare_page
-
     if not maps:
         raise ConfigError("one or more folders of maps", "none", "name them before --capture")
     options.check_side(resolution)
@@ -82,8 +77,6 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
 
 def _entry(text: str, resolution: int, encoding: options.MapEncoding, normal: options.MapNormal) -> Entry:
     """Maps, name and fit of ``[NAME=]MAPS``; the folder is the name of maps without one."""
-    from ..evaluate.photos import Entry
-
     maps = _folder(text)
     name = text[:len(text) - len(maps)].removesuffix("=") or options.name_of(maps)
     svbrdf = options.material_of(maps, resolution, encoding, normal)

@@ -10,8 +10,11 @@ from tyro.conf import Positional, arg
 from ..errors import ConfigError
 from ..io import files
 from ..io.progress import figures_table, print_rich, progress_bar, say, say_written
+from ..material.corner_cases import builtin_materials
 from ..material.maps import Bsdf
 from ..render import RENDERERS, make_renderer
+from ..report.page import figure, seconds
+from ..verify import crosscheck as checks
 from ..views import shift_lights
 from . import options
 
@@ -38,10 +41,6 @@ def crosscheck(
 
     The exit code is 1 when a stated tolerance does not hold. docs/evaluation.md explains the figures.
     """
-    from ..material.corner_cases import builtin_materials
-    from ..report.page import figure
-    from ..verify import crosscheck as checks
-
     if repeats < 1:
         raise ConfigError("--repeats of 1 or more", str(repeats), "try 5")
     options.check_side(resolution)
@@ -83,22 +82,18 @@ def crosscheck(
 
 
 def _print(record: dict) -> None:
-    from ..verify.crosscheck import omitted
-
     for bsdf, how in dict.fromkeys(pair for m in record["materials"].values()
                                    for pair in m["converted"].items()):
         say(f"as {bsdf}: {how}")
     for texels, bsdf in dict.fromkeys((row["texels"], row["bsdf"]) for row in record["summary"]):
         rows = [row for row in record["summary"] if (row["texels"], row["bsdf"]) == (texels, bsdf)]
         print_rich(_table(record, texels, bsdf, rows))
-    for each in omitted(record):
+    for each in checks.omitted(record):
         say(f"omitted by {each['by']}: {each['what']} ({each['why']})")
 
 
 def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
     """The summary of one BSDF: a row for each figure, a column for each renderer."""
-    from ..report.page import figure, seconds
-
     count = rows[0]["materials"]
     bound = f"{'>=' if texels == 'rough' else '<'} {record['rough_from']}"
     of = f", worst of {count} materials" if count > 1 else ""

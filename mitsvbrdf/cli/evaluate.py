@@ -3,13 +3,17 @@
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from ..calibrate.refine import Priors
 from ..errors import ConfigError
+from ..evaluate.photos import evaluate_photos
+from ..evaluate.placement import placed
 from ..io import files
 from ..io.progress import print_numbers, say, say_written
+from ..measure.burn_in import burn_in, local_burn_in
 from ..render import RendererName, make_renderer
 from ..views import photo_numbers
 from . import options
@@ -24,8 +28,6 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
              renderer: RendererName = "mitsuba", transfer: options.TransferOption = "auto",
              falloff: Annotated[options.FalloffOption, arg(
                  help="Falloff of light. auto: as in the fit.")] = "auto",
-             flash_offset: Annotated[Literal["fitted", "none"], arg(
-                 help="fitted: use the flash offset that the fit found.")] = "fitted",
              refine_views: Annotated[bool, arg(
                  help="Measure again with camera, flash and exposure of each photo refined.")] = False,
              json_file: options.JsonFile = None, variant: options.Variant = "llvm_ad_rgb",
@@ -42,11 +44,6 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
     The calibration of held-out photos has errors unknown to any fit. --refine-views also refines the camera,
     flash and exposure of each photo within priors, measures again, and prints how far they moved.
     """
-    from ..calibrate.refine import Priors
-    from ..evaluate import placed
-    from ..evaluate.photos import evaluate_photos
-    from ..measure.burn_in import burn_in, local_burn_in
-
     if (reference is None) == (capture is None):
         raise ConfigError("either --reference or --capture", "both" if reference else "neither", "give one")
     if refine_views and capture is None:
@@ -59,8 +56,6 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
         print_numbers("Map RMSE", found)
     elif capture is not None:
         fit = options.fit_of_maps(maps)
-        if flash_offset == "none":
-            fit = fit.but(flash_offset=None)
         transfer = fit.transfer or "auto" if transfer == "auto" else transfer
         chosen = photo_numbers(views)
         photos = options.read_photos(capture, resolution or svbrdf.resolution, None, transfer,
@@ -69,8 +64,8 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
         for note in shots.notes[len(photos.notes):]:
             say(note)
         shots = shots if chosen is None else shots.pick(chosen)
-        found, _ = evaluate_photos(svbrdf, fit, shots, make_renderer(renderer, variant),
-                                   Priors() if refine_views else None)
+        found = evaluate_photos(svbrdf, fit, shots, make_renderer(renderer, variant),
+                                Priors() if refine_views else None)
         labels = {name: fit.label(shots, number) for name, number in zip(shots.names, shots.index)}
         _print_errors(found["views"], found, labels)
         if found["fitted_views"]:

@@ -1,11 +1,9 @@
 """``mitsvbrdf export``: the material for other programs."""
 
-from __future__ import annotations
-
 import shutil
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from tyro.conf import Positional, arg
 
@@ -14,10 +12,11 @@ from ..export import FORMATS, check_options, export_material
 from ..export.textures import Bits, Export, ExportSettings, Naming, NormalConvention
 from ..io import images, results
 from ..io.progress import say
+from ..material.maps import SVBRDF
+from ..material.resample import area_averaged
+from ..material.tiling import seam, seamless
+from ..relight.stage import sphere
 from . import options
-
-if TYPE_CHECKING:
-    from ..material.maps import SVBRDF
 
 PREVIEW, THUMBNAIL = 512, 128  # pixels a side
 SMALLEST, LARGEST = 1e-3, 1e6  # side of a patch, centimetres
@@ -78,8 +77,6 @@ def export(
 
 
 def _tiled(svbrdf: SVBRDF, side: float | None) -> tuple[SVBRDF, float | None]:
-    from ..material.tiling import seam, seamless
-
     svbrdf, part = seamless(svbrdf)
     times = f"the maps differ across them {seam(svbrdf):.1f} times as much as beside them"
     if part == 1:
@@ -93,9 +90,6 @@ def _tiled(svbrdf: SVBRDF, side: float | None) -> tuple[SVBRDF, float | None]:
 
 def _draw(folder: Path, svbrdf: SVBRDF) -> None:
     """``preview.png`` and ``thumbnail.png``; without them where Mitsuba cannot run, which no format needs."""
-    from ..material.resample import area_averaged
-    from ..relight.stage import sphere
-
     try:
         picture = sphere(svbrdf, PREVIEW)
     except BackendError as error:

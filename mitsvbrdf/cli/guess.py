@@ -2,7 +2,7 @@
 
 from tyro.conf import Positional
 
-from ..capture.guess import GuessMethod
+from ..capture.guess import GuessMethod, guess_diffuse
 from ..io import images, results
 from ..io.progress import say
 from .options import Out, Overwrite, Photos, Strict, TransferOption, ViewList, keep_apart, read_photos
@@ -16,8 +16,6 @@ def guess(capture: Positional[Photos], out: Out, method: GuessMethod = "robust",
     Methods: min is the minimum of each pixel, as in the paper. mean-blur is the mean, blurred. robust undoes
     falloff and highlights first.
     """
-    from ..capture import guess_diffuse
-
     keep_apart(capture, out)
     shots = read_photos(capture, resolution, views, transfer, "inverse-square")
     guess = guess_diffuse(shots, method)

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -99,12 +99,8 @@ def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str |
                     photos: str | Path | None = None) -> None:
     """Refuse, before any work is done, files to write that exist or could not be written.
 
-    --overwrite replaces an existing one, but never what is read or part of a result folder.
-
-    Args:
-        outputs: as named on the command line; None was not asked for.
-        read: files and folders that the command reads, as named.
-        photos: a capture, among whose photos nothing is written; ``builtin:NAME`` and None are none.
+    --overwrite replaces an existing one, but never what is ``read``, nor part of a result folder. Nothing is
+    written among the photos of a capture. None was not asked for.
 
     Raises:
         OutputError: one is there, or cannot be written.
@@ -131,6 +127,15 @@ def _photo_folders(capture: Path) -> set[str]:
     """Where the photos of a capture lie: its folder, or that of its JSON file, and target/ in it."""
     capture = capture.parent if capture.is_file() else capture
     return {os.path.realpath(path) for path in (capture, capture / "target")}
+
+
+def chosen(option: str, text: str, choices: Collection[str]) -> list[str]:
+    """The words of a text, commas between them; ConfigError for none, and for one that is no choice."""
+    found = list(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
+    for each in found or ["none"]:
+        if each not in choices:
+            raise ConfigError(f"{option} of {', '.join(choices)}", repr(each), f"check {option}")
+    return found
 
 
 def check_side(resolution: int | None) -> None:

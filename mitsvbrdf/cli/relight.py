@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Collection
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -72,8 +71,8 @@ def relight(
     if not -20 <= exposure <= 20:
         raise ConfigError("--exposure of -20 to 20 stops", str(exposure), "0 leaves the picture as it is")
     pixels = _size(size)
-    chosen = list(PRESETS) if preset == "all" else _chosen("--preset", preset, PRESETS)
-    kinds = [] if movie == "none" else _chosen("--movie", movie, MOVIES)
+    chosen = list(PRESETS) if preset == "all" else options.chosen("--preset", preset, PRESETS)
+    kinds = [] if movie == "none" else options.chosen("--movie", movie, MOVIES)
     out = out or (Path() if explain else options.folder_inside(maps, "relight"))
     svbrdf, fit = options.material_of(maps, 256, encoding, normal), options.fit_of_maps(maps)
     with using_mitsuba(variant) as mi:
@@ -147,11 +146,3 @@ def _size(text: str) -> tuple[int, int]:
         raise ConfigError(f"--size N or WxH with sides of {low} to {high} pixels", repr(text),
                           "try 512 or 640x360")
     return sides[0], sides[-1]
-
-
-def _chosen(option: str, text: str, choices: Collection[str]) -> list[str]:
-    chosen = [part.strip() for part in text.split(",")]
-    for each in chosen:
-        if each not in choices:
-            raise ConfigError(f"{option} of {', '.join(choices)}", repr(each), f"check {option}")
-    return list(dict.fromkeys(chosen))

@@ -8,6 +8,8 @@ from tyro.conf import arg
 from ..io import files
 from ..io.progress import figures_table, print_rich, progress_bar, say, say_written
 from ..render import RENDERERS, make_renderer
+from ..verify.stability import SWEEPS
+from ..verify.stability import stability as run
 from .options import JsonFile, Overwrite, Variant, check_new_files
 
 Sweep = Literal["roughness", "tilt", "distance", "colour", "intensity", "clipped", "flat", "resolution",
@@ -28,9 +30,6 @@ def stability(
     sweeps take about two minutes. The exit code is 1 when a value is not finite or a verdict is worse than
     expected. docs/results/stability.md explains the verdicts and every clamp.
     """
-    from ..verify.stability import SWEEPS
-    from ..verify.stability import stability as run
-
     check_new_files(json_file, overwrite=overwrite)
     renderers = [make_renderer(name, variant) for name in (RENDERERS if renderer == "all" else (renderer,))]
     with progress_bar("stability") as report:

@@ -18,6 +18,7 @@ from ..render import RendererName, make_renderer
 from ..synth import photograph
 from ..synth.phone import HandheldPhone, Spoil
 from ..synth.photos import write_handheld
+from ..synth.traced import HandheldRenderer
 from . import options
 
 RECTIFIED_SIDE, MADE_SIDE = 256, 1024  # defaults of --resolution
@@ -83,8 +84,6 @@ def synth(
 
 def _handheld(svbrdf: SVBRDF, name: str, out: Path, phone: HandheldPhone, spoil: str, variant: str,
               overwrite: bool) -> int:
-    from ..synth.traced import HandheldRenderer
-
     kinds = cast(tuple[Spoil, ...], tuple(kind.strip() for kind in spoil.split(",") if kind.strip()))
 
     def report(done: int, count: int) -> None:

@@ -15,7 +15,7 @@ from ..capture import Capture
 from ..errors import ConfigError
 from ..fit.result import Fit
 from ..material.maps import SVBRDF
-from ..measure.rerender import rerender, rerendered
+from ..measure.rerender import rerender, rerender_errors
 from ..render import Renderer
 from ..views import Views, shift_lights
 from . import evaluate_capture
@@ -23,32 +23,28 @@ from .placement import placed
 
 
 def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Renderer,
-                    priors: Priors | None = None) -> tuple[dict, Tensor | None]:
+                    priors: Priors | None = None) -> dict:
     """Errors of the re-rendered photos in display values.
 
-    A photo that the fit saw is rendered with the view that the fit ended with, so its error is the one that
-    the fit reports; all others with the calibration and the flash offset of the fit. Refined views make an
-    error smaller that maps without a ``fit.json`` cannot have, so what
-    :func:`mitsvbrdf.evaluate.evaluate_capture` finds for all of them stands beside it.
+    Views are :func:`fitted_views`. They make an error smaller that maps without a ``fit.json`` cannot have,
+    so what :func:`mitsvbrdf.evaluate.evaluate_capture` finds stands beside it.
 
     Args:
-        svbrdf: the material, brought to the photos' resolution if it differs.
+        svbrdf: the material, of any resolution.
         fit: how it saw its photos; the defaults for maps without a ``fit.json``.
         capture: N photos, as :func:`~mitsvbrdf.evaluate.placement.placed` leaves them.
         priors: measure a third time, with views refined beside frozen maps.
 
     Returns:
-        ``views`` (how they were taken, in words), ``fitted_views`` and ``held_out`` (names of photos),
-        ``rerender_rmse``, ``per_photo``, ``rmse_seen`` and ``rmse_held_out`` (None without such photos);
-        ``calibrated`` (``views`` in words) and, without priors None, ``refined`` (``views`` as
-        :func:`~mitsvbrdf.evaluate.evaluate_capture` has them) have these four too. And the images, linear N x
-        R x R x 3; None where they are too large to be rendered together.
+        ``views`` (in words), ``fitted_views`` and ``held_out`` (names of photos), ``rerender_rmse``,
+        ``per_photo``, ``rmse_seen`` and ``rmse_held_out`` (None without such photos); ``calibrated`` and
+        ``refined`` (None without priors) have these four and ``views``, too.
     """
     views, fitted = fitted_views(fit, capture)
     here = fit.of(capture)
     seen = [name for name, number in zip(capture.names, capture.index) if here and number in fit.seen]
     held_out = [name for name in capture.names if here and name not in seen]
-    total, each, _, images = rerendered(renderer, svbrdf.resized(capture.resolution), views, capture)
+    total, each = rerender_errors(renderer, svbrdf.resized(capture.resolution), views, capture)
 
     def apart(found: dict) -> dict:
         errors = found["per_photo"]
@@ -58,8 +54,8 @@ def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Render
     refined = stated.pop("refined", None)
     shown = apart({"rerender_rmse": total, "per_photo": dict(zip(capture.names, each))})
     return {"views": _words(fit, fitted, capture), "fitted_views": fitted, "held_out": held_out} | shown | {
-        "calibrated": {"views": _words(fit, [], capture)} | apart(stated), "refined": refined
-        and apart(refined)}, images
+        "calibrated": {"views": _words(fit, [], capture)} | apart(stated),
+        "refined": refined and apart(refined)}
 
 
 def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
@@ -69,19 +65,15 @@ def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
     and the flash offset of the fit. Lengths are in patch sides.
     """
     views = shift_lights(capture.views, fit.flash_offset).in_patch_sides()
-    names: list[str] = []
     if fit.known_views is None or not fit.of(capture):
-        return views, names
+        return views, []
     stored = fit.views.in_patch_sides()
-    camera, light, intensity = views.camera.clone(), views.light.clone(), views.intensity.clone()
-    for row, (name, number) in enumerate(zip(capture.names, capture.index)):
-        if number in fit.seen[:len(stored)]:
-            at = fit.seen.index(number)
-            for mine, theirs in ((camera, stored.camera), (light, stored.light),
-                                 (intensity, stored.intensity)):
-                mine[row] = theirs[at].to(mine.dtype)
-            names.append(name)
-    return replace(views, camera=camera, light=light, intensity=intensity), names
+    rows = {row: fit.seen.index(number) for row, number in enumerate(capture.index)
+            if number in fit.seen[:len(stored)]}
+    parts = {part: getattr(views, part).clone() for part in ("camera", "light", "intensity")}
+    for part, values in parts.items():
+        values[list(rows)] = getattr(stored, part)[list(rows.values())].to(values.dtype)
+    return replace(views, **parts), [capture.names[row] for row in rows]
 
 
 def _together(errors: Mapping[str, float], names: list[str]) -> float | None:
@@ -119,8 +111,6 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
             index: Sequence[int] | None = None) -> tuple[dict, list[Tensor]]:
     """Measure every method at the photos' resolution, to which maps are brought.
 
-    Photos are rendered, and errors counted, as :func:`~mitsvbrdf.evaluate.photos.evaluate_photos` says.
-
     Args:
         entries: one or more, each with a name of its own.
         map_errors: gives the RMSE of maps against known ones, by map; None where none are known.
@@ -130,10 +120,9 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
             estimate them.
 
     Returns:
-        The record, ready for JSON, and for each method the pictures N x R x R x 3 in display values. A
-        method's entry in ``methods`` has ``name``, ``folder``, ``resolution`` of its maps, ``transfer``,
-        ``falloff``, ``flash_offset``, ``map_rmse`` (or None), and what
-        :func:`~mitsvbrdf.evaluate.photos.evaluate_photos` returns.
+        The record, ready for JSON, and for each method the pictures N x R x R x 3 in display values. An entry
+        of ``methods`` has how the maps and the fit are, ``map_rmse`` (or None), and what
+        :func:`evaluate_photos` returns.
 
     Raises:
         ConfigError: no entry, or a name that stands twice.
@@ -149,13 +138,12 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
                         views=replace(all_photos.views, falloff=fit.falloff))
         shots = placed(shots, fit).pick(capture.index)
         svbrdf = entry.svbrdf.resized(capture.resolution)
-        found, images = evaluate_photos(svbrdf, fit, shots, renderer, priors)
-        if images is None:
-            images = rerender(renderer, svbrdf, fitted_views(fit, shots)[0], shots)[0]
+        images = rerender(renderer, svbrdf, fitted_views(fit, shots)[0], shots)[0]
         pictures.append(color.to_display(images, shots.transfer))
         methods.append({"name": entry.name, "folder": entry.folder, "resolution": entry.svbrdf.resolution,
             "bsdf": entry.svbrdf.bsdf,
             "transfer": shots.transfer, "falloff": fit.falloff, "flash_offset": fit.flash_offset,
-            "map_rmse": None if map_errors is None else dict(map_errors(svbrdf)), **found})
+            "map_rmse": None if map_errors is None else dict(map_errors(svbrdf)),
+            **evaluate_photos(svbrdf, fit, shots, renderer, priors)})
     return {"capture": capture.source.name if capture.source else None, "photos": list(capture.names),
             "resolution": capture.resolution, "renderer": renderer.name, "methods": methods}, pictures

@@ -72,11 +72,8 @@ def named_views(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[
 
 def predict(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
             flash_offset: tuple[float, float] | None) -> tuple[Tensor, float, list[float]]:
-    """Photos that a fit did not use, from their views and the flash offset, (x, y) in patch sides or None,
-    that all its photos share.
-
-    Gives linear radiance N x R x R x 3; RMSE over all in display values, as
-    :func:`mitsvbrdf.evaluate.evaluate_capture` finds it; and that of each.
+    """Photos that a fit did not use, as :func:`mitsvbrdf.evaluate.evaluate_capture` renders them: linear
+    radiance N x R x R x 3, RMSE over all in display values, and that of each.
     """
     material, lit = svbrdf.resized(capture.resolution), shift_lights(capture.views, flash_offset)
     found = [rerender(renderer, material, lit.pick([k]), capture.pick([number]))

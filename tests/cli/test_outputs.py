@@ -29,9 +29,9 @@ WRITING = [["crosscheck", "--json"], ["crosscheck", "--html"], ["stability", "--
 @pytest.fixture
 def lazy(tmp_path, monkeypatch):
     """No command may begin its work; one file that is the user's own."""
-    for name in ("verify.crosscheck.crosscheck", "verify.stability.stability",
-                 "material.made.make_material", "capture.read_capture", "bench.tasks.find_tasks",
-                 "capture.align.sheet.write_sheet", "cli.fit.read_photos"):
+    for name in ("verify.crosscheck.crosscheck", "cli.stability.run", "material.made.make_material",
+                 "capture.read_capture", "cli.bench.find_tasks", "capture.align.sheet.write_sheet",
+                 "cli.fit.read_photos"):
         monkeypatch.setattr(f"mitsvbrdf.{name}", lambda *_, **__: pytest.fail("worked first"))
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").write_text("mine")

@@ -141,8 +141,7 @@ def fits() -> Drawn[Case]:
                                                                        "in/fit/guess"))
     reading = cases("fit", "fit capture", ways, "evaluate ../in/fit --capture ../in/capture --renderer "
                                                 "analytic",
-                    "render ../in/fit -o out --renderer analytic --flash-offset fitted",
-                    "render ../in/fit -o out --renderer analytic --diffuse guessed",
+                    "render ../in/fit -o out --renderer analytic",
                     "export ../in/fit -o out --to maps --no-preview",
                     "compare ../in/fit --capture ../in/capture -o out --renderer analytic --resolution 16",
                     most=2)
