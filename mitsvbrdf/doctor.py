@@ -39,11 +39,15 @@ def diagnose(variant: str = "llvm_ad_rgb") -> list[Row]:
     """All findings, from the interpreter up to a Mitsuba variant that renders."""
     python = f"{platform.python_version()} ({sys.executable})"
     fresh = sys.version_info >= (3, 11)
-    return [Row("Python", python, fresh, "" if fresh else "install Python 3.11 or newer"),
+    rows = [Row("Python", python, fresh, "" if fresh else "install Python 3.11 or newer"),
             Row("mitsvbrdf", version_of("mitsvbrdf") or "not installed, run from its folder"),
             *(_package(name, module) for name, module in PACKAGES.items()),
-            *(_extra(name, module) for name, module in EXTRAS.items()),
-            *_mitsuba(variant), Row("threads", _threads()), Row("memory", _memory())]
+            *(_extra(name, module) for name, module in EXTRAS.items()), *_mitsuba(variant)]
+    torch, (total, free) = sys.modules.get("torch"), memory_gib()
+    memory = f"{total:.1f} GiB, {free:.1f} GiB available" if math.isfinite(total) else "unknown"
+    own = f", torch uses {torch.get_num_threads()}" if torch else ""
+    return [*rows, Row("threads", f"{os.cpu_count()} CPUs, {usable_cores()} usable{own}"),
+            Row("memory", memory)]
 
 
 def doctor(json: bool = False, variant: str = "llvm_ad_rgb") -> int:
@@ -99,18 +103,6 @@ def _mitsuba(variant: str) -> list[Row]:
                     Row("CUDA for cuda_ad_rgb", "yes" if dr.has_backend(dr.JitBackend.CUDA) else "no")]
     except BackendError as reason:
         return [*rows, Row(variant, f"not available: {reason.got}", False, reason.fix)]
-
-
-def _threads() -> str:
-    torch = sys.modules.get("torch")
-    own = f", torch uses {torch.get_num_threads()}" if torch else ""
-    return f"{os.cpu_count()} CPUs, {usable_cores()} usable{own}"
-
-
-def _memory() -> str:
-    """Total and available memory, where the system tells."""
-    total, free = memory_gib()
-    return f"{total:.1f} GiB, {free:.1f} GiB available" if math.isfinite(total) else "unknown"
 
 
 if __name__ == "__main__":

@@ -7,11 +7,10 @@ calibration, and residuals in display values, robust (Huber) and one-sided where
 :mod:`mitsvbrdf.fit.losses`. Levenberg-Marquardt; derivatives are central differences of the float64 analytic
 renderer.
 
-Residuals are not independent noise: where a map is wrong, so are all pixels around. The noise level is
-therefore measured on the residuals themselves, photo by photo, and so is how many pixels count as one
-(:meth:`Problem.evidence`). Without that, photos left out of a real fit moved their flash by more than a patch
-side, to explain errors of the maps; with it, by 0.02. What comes out is as sure as the maps are right: an
-error of the maps that looks like a shift of the highlight is taken for one.
+Residuals are not independent noise: where a map is wrong, so are all pixels around. So noise is measured on
+the residuals themselves (:meth:`Problem.evidence`). Without that, photos left out of a real fit moved their
+flash by more than a patch side, to explain errors of the maps; with it, by 0.02. An error of the maps that
+looks like a shift of the highlight is taken for one.
 """
 
 import math
@@ -134,7 +133,8 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
         ConfigError: expected changes that are not seven numbers or N x 7.
     """
     problem = Problem(svbrdf, views, capture, priors, renderer)
-    here = problem.linear(problem.u_of(problem.expected if start is None else start))
+    change = problem.expected if start is None else start
+    here = problem.linear(torch.linalg.pinv(problem.spread) @ (change - problem.expected).flatten())
     damping, tried, size = 1e-3, 0, float("inf")
     while tried < iterations and size > SETTLED:
         tried += 1
@@ -222,10 +222,6 @@ class Problem:
         """Changes N x 7, by :data:`UNKNOWNS`."""
         return self.expected + (self.spread @ u).reshape(-1, len(UNKNOWNS))
 
-    def u_of(self, change: Tensor) -> Tensor:
-        """The most probable u of changes N x 7."""
-        return torch.linalg.pinv(self.spread) @ (change - self.expected).flatten()
-
     def residuals(self, radiance: Tensor) -> Tensor:
         """Display values minus the photos', N x R x R x 3; 0 where clipped ones are met, or masked."""
         error = color.encode(radiance, self.transfer) - self.photos
@@ -256,7 +252,7 @@ class Problem:
         return self._cost(u, self.residuals(self.drawn(views)), evidence)
 
     def linear(self, u: Tensor, evidence: tuple[Tensor, Tensor] | None = None) -> Linear:
-        """The cost around u. Without u the evidence is what there is at u."""
+        """The cost around u; default of the evidence: what there is at u."""
         change = self.change(u)
         radiance = self.drawn(moved(self.given, change))
         error = self.residuals(radiance)

@@ -7,9 +7,9 @@ R^2 of a map's variance that a cubic in the coverage angle explains: 0 for maps 
 (3 / (n - 1) on average for n texels of pure noise), 1 for maps that are nothing else. A material whose own
 pattern lies like the highlights has some, too.
 
-The smallest angle blurs the oval that each single highlight leaves, as wide as the lobe. ``local_burn_in``
-explains a map by bumps where the photos had their highlights, and again with the map rolled sideways, which
-puts other pieces of the material there. What the bumps explain more in place is burnt in.
+The smallest angle blurs the oval that each single highlight leaves, as wide as the lobe, which
+:func:`local_burn_in` looks for. Rolled sideways, a map has other pieces of the material where the highlights
+were: what ovals explain more in place is burnt in.
 
 Measured at 128 px on the roughness that MaterialGAN published: `wood-bamboo` 0.67, `cards-blue` and
 `bathroomtile1` 0.01. Fine texture counts as variance, so the share falls a little with the resolution

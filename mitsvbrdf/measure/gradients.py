@@ -36,10 +36,10 @@ def fixed_cotangent(shape: torch.Size, seed: int = 1) -> Tensor:
 @entry(gradients=True)
 def render_and_gradients(renderer: Renderer, svbrdf: SVBRDF, views: Views, cotangent: Tensor | None = None,
                          ) -> Measured:
-    """Render, and differentiate the product of the image with fixed numbers, N x R x R x 3
-    (:func:`fixed_cotangent` if left out), with respect to every map.
+    """Render, and differentiate the product of the image with ``cotangent`` (N x R x R x 3) by every map.
 
-    ``analytic64`` gets the maps in float64, so its gradients are float64 too. ConfigError: no gradient.
+    Default: :func:`fixed_cotangent`. ``analytic64`` gets the maps in float64, so its gradients are float64
+    too. ConfigError: no gradient.
     """
     dtype = torch.float64 if renderer.name == "analytic64" else torch.float32
     leaves = svbrdf.to(dtype).map(lambda t: t.detach().clone().requires_grad_())

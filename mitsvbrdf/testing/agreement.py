@@ -25,8 +25,7 @@ def assert_renderers_agree(
         reference: RendererName | Renderer = "analytic64") -> None:
     """Fail unless renderers draw the same picture, with the same gradients, as a reference.
 
-    The gradients are those of the product of the image with fixed random numbers with respect to every map
-    (:func:`mitsvbrdf.measure.gradients.render_and_gradients`).
+    Gradients are those of :func:`mitsvbrdf.measure.gradients.render_and_gradients`.
 
     Args:
         maps: the material, float32; :func:`random_material` is a hard one.
@@ -64,14 +63,12 @@ def assert_renderers_agree(
 
 
 def _limits(name: str, *given: float | None) -> Limits:
-    if name in LIMITS:
-        known = astuple(LIMITS[name])
-        return Limits(*(usual if value is None else value for usual, value in zip(known, given)))
-    if None in given:
+    known = astuple(LIMITS[name]) if name in LIMITS else given
+    limits = [usual if value is None else value for usual, value in zip(known, given)]
+    if None in limits:
         raise ConfigError(f"limits for the renderer {name!r}, which is none of {list(LIMITS)}",
-                          "some left out",
-                          "give image_mean, image_p999 and gradients")
-    return Limits(*given)  # type: ignore[arg-type]
+                          "some left out", "give image_mean, image_p999 and gradients")
+    return Limits(*limits)
 
 
 def _measured(renderer: Renderer, maps: SVBRDF, views: Views, gradients: bool) -> Measured:

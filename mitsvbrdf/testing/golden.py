@@ -11,6 +11,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import torch
 from torch import Tensor
 
@@ -131,8 +132,6 @@ def _shown(layer: str, value: Tensor) -> Tensor:
 
 
 def _read(path: Path) -> Layers:
-    import OpenEXR
-
     layers: dict[str, dict[str, np.ndarray]] = {}
     try:
         for name, channel in OpenEXR.File(str(path), separate_channels=True).channels().items():
