@@ -15,7 +15,7 @@ from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..material.naming import FILE_NAMES
 from ..material.relief import heights, occlusion
 from .residual import shown_residual
-from .textures import DEFAULTS, LINEAR, NORMALS, NOTES, Export, ExportSettings, Texture, Textures, stored
+from .textures import DEFAULTS, LINEAR, NORMALS, NOTES, Export, ExportSettings, Texture, stored, write_pngs
 
 LONGEST = 100  # bytes of a material's name in file names; more would not fit every file system
 
@@ -48,13 +48,12 @@ def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
     holds = {"packed": "occlusion in R, roughness in G, metallic in B",
              "height": f"height over {unit}, plus 0.5"}
     chosen = {key.removesuffix(f" {normal}"): file for key, file in FILE_NAMES[naming].items()}
-    written = []
-    with Textures(folder) as textures:
-        for key, file in chosen.items():
-            if key in both and not (key == "specular_level" and svbrdf.bsdf == "principled"):
-                texture = textures.add(f"{file.replace('NAME', _safe(settings.name))}.png", key,
-                                       both[key], 16 if key == "height" else settings.bits, normal)
-                written.append(replace(texture, holds=holds.get(key, key)))
+    textures = write_pngs(folder, {
+        key: (f"{file.replace('NAME', _safe(settings.name))}.png", both[key],
+              16 if key == "height" else settings.bits)
+        for key, file in chosen.items()
+        if key in both and not (key == "specular_level" and svbrdf.bsdf == "principled")}, normal)
+    written = [replace(texture, holds=holds.get(key, key)) for key, texture in textures.items()]
     if naming in ("own", "materialgan"):  # names that load_maps knows
         files.write_json(folder / "material.json", {
             "bsdf": "roughconductor" if naming == "materialgan" else svbrdf.bsdf, "size": svbrdf.resolution,

@@ -15,7 +15,7 @@ from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..material.naming import SURFACES
 from ..render.bsdf import index_from_f0
 from .residual import shown_residual
-from .textures import DEFAULTS, NOTES, SRGB, Export, ExportSettings, Textures, rendered
+from .textures import DEFAULTS, NOTES, SRGB, Export, ExportSettings, rendered, write_pngs
 
 # Files, each with its version of MaterialX and its shader.
 DOCUMENTS = {"material.mtlx": ("1.38", "standard_surface"), "openpbr.mtlx": ("1.39", "open_pbr_surface")}
@@ -29,14 +29,13 @@ def write_materialx(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEF
         material, relative = layered(svbrdf, torch.tensor(level)), relative_f0(svbrdf, level)
         lost = {"materialx": shown_residual(svbrdf, material, relative * level, torch.tensor(level))}
         largest = max(float(relative.max()), 1.0)  # a texture ends at 1, the factor beside it does not
-    with Textures(folder) as textures:
-        written = {name: textures.add(f"textures/{name}.png", name, value, settings.bits)
-                   for name, value in material.maps.items()}
-        if svbrdf.bsdf == "roughconductor":
-            texture = textures.add("textures/specular_color.png", "specular", relative / largest,
-                                   settings.bits)
-            written["specular_color"] = replace(
-                texture, holds=f"F0 over {level:.6g}, divided by {largest:.6g}")
+    maps = {name: (f"textures/{name}.png", value, settings.bits) for name, value in material.maps.items()}
+    if svbrdf.bsdf == "roughconductor":
+        maps["specular"] = "textures/specular_color.png", relative / largest, settings.bits
+    written = write_pngs(folder, maps)
+    if "specular" in written:
+        written["specular_color"] = replace(written.pop("specular"),
+                                            holds=f"F0 over {level:.6g}, divided by {largest:.6g}")
     kinds = {name: "vector3" if texture.normal else "color3" if texture.colour_space == SRGB else "float"
              for name, texture in written.items()}
     for file, (version, node) in DOCUMENTS.items():

@@ -1,9 +1,7 @@
 """Texture files, and what each holds: map, colour space, normal convention."""
 
-from __future__ import annotations
-
 import tomllib
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -85,25 +83,12 @@ def described(file: str, name: str, bits: int, normal: NormalConvention = "gl") 
                    NORMALS[normal] if name == "normal" else None)
 
 
-class Textures:
-    """The textures of a folder, which are written side by side at the end of a ``with`` block."""
-
-    def __init__(self, folder: Path) -> None:
-        self.folder, self.writes = folder, list[Callable[[], None]]()
-
-    def __enter__(self) -> Textures:
-        return self
-
-    def __exit__(self, kind: type | None, *_: object) -> None:
-        if kind is None:
-            images.write_all(self.writes)
-
-    def add(self, file: str, name: str, value: Tensor, bits: Bits, normal: NormalConvention = "gl"
-            ) -> Texture:
-        """A PNG of a linear map."""
-        self.writes.append(partial(images.write_png, self.folder / file, value, bits,
-                                   partial(stored, name, normal=normal)))
-        return described(file, name, bits, normal)
+def write_pngs(folder: Path, maps: Mapping[str, tuple[str, Tensor, Bits]],
+               normal: NormalConvention = "gl") -> dict[str, Texture]:
+    """Write PNGs of linear maps side by side: by the map's name the file, the values and bits."""
+    images.write_all([partial(images.write_png, folder / file, value, bits, partial(
+        stored, name, normal=normal)) for name, (file, value, bits) in maps.items()])
+    return {name: described(file, name, bits, normal) for name, (file, _, bits) in maps.items()}
 
 
 def rendered(template: str, **about: object) -> bytes:

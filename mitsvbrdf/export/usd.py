@@ -14,7 +14,7 @@ from ..material.conversion import layered, usual_f0
 from ..material.maps import COLOURS, DIELECTRIC_F0, SVBRDF
 from ..render.bsdf import index_from_f0
 from .residual import shown_residual
-from .textures import DEFAULTS, LINEAR, NOTES, Export, ExportSettings, Texture, Textures, rendered
+from .textures import DEFAULTS, LINEAR, NOTES, Export, ExportSettings, Texture, rendered, write_pngs
 
 MATERIAL, PATCH = "material.usda", "patch.usda"
 HIGHEST_F0 = 0.9  # of what is no metal: a refractive index of 38
@@ -41,10 +41,9 @@ def write_usd(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS)
     else:
         glass = torch.full_like(svbrdf["metallic"], DIELECTRIC_F0)
         lost = {"base colour as it is": shown_residual(svbrdf, svbrdf, glass, glass)}
-    with Textures(folder) as files_of_maps:
-        for name, value in material.maps.items():
-            textures[name] = files_of_maps.add(f"textures/{name}.png", name, value, 8 if name in COLOURS
-                                               else settings.bits)
+    textures |= write_pngs(folder, {
+        name: (f"textures/{name}.png", value, 8 if name in COLOURS else settings.bits)
+        for name, value in material.maps.items()})
     about = {"index": float(index_from_f0(torch.tensor(usual))), "half": 50 * (settings.side or 0.01),
              "wrap": "repeat" if settings.repeats else "clamp", "maps": [
                  dict(zip(("kind", "input", "channels"), INPUTS[name].split()), name=name, file=texture.file,
