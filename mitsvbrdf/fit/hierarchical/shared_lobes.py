@@ -150,8 +150,7 @@ class SharedLobes:
         *common, wide = self.others
         half = answer.x.shape[-1] // COARSE // 2 if turn == 1 else 0
         corners = [(y, x) for y in (-half, half) for x in (-half, half)] if half else []
-        coarse = answer.copy() if corners else answer  # as it is now, whatever earlier starts led to
-        return [*(lambda _, rows, y=y, x=x: coarse.rows(rows, y, x) for y, x in corners),
+        return [*(lambda answer, rows, y=y, x=x: answer.rows(rows, y, x) for y, x in corners),
                 *(lambda answer, rows, start=start: self._as_steep(start(answer, rows))
                   for start in other_starts(self.prior, turn)),
                 partial(self._with, lobe=common[turn % len(common)], at_mean=True),

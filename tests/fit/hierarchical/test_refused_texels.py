@@ -7,7 +7,7 @@ import torch
 from helpers import photos_of
 from helpers.hierarchical_fits import method_of
 
-from mitsvbrdf.fit.hierarchical import kernel, shared_lobes
+from mitsvbrdf.fit.hierarchical import kernel
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
 from mitsvbrdf.fit.hierarchical.stages import Stage
 from mitsvbrdf.fit.hierarchical.texel_prior import TexelEstimate
@@ -60,11 +60,3 @@ def test_a_texel_that_was_turned_away_comes_back(fine):
     assert torch.equal(found.x.flatten(1)[:, alone], spoilt.x.flatten(1)[:, alone])
     off = (found.x - answer.x).flatten(1)[:, away].abs().amax()
     assert off < 0.05  # .004 here
-
-
-def test_coarse_texels_nearby_are_starts_as_they_were(fine, monkeypatch):
-    monkeypatch.setattr(shared_lobes, "COARSE", SIDE // 4)  # two texels away
-    answer = TexelEstimate(*map(torch.clone, fine.answer))
-    first, *_ = fine.exact.lobes.starts(answer, 1)
-    answer.x.zero_()  # by an earlier start
-    assert torch.equal(first(answer, slice(0, SIDE)).x, fine.answer.x.roll((-2, -2), (1, 2)))
