@@ -82,7 +82,7 @@ class Job:
 def method_table() -> dict[str, FitConfig]:
     """Name -> settings: the methods of ``fit``, and one more entry for each further preset."""
     table: dict[str, FitConfig] = {}
-    for name, (config, *_) in METHODS.items():
+    for name, config in METHODS.items():
         table[name] = default = config()
         presets = (get_args(get_type_hints(config)["preset"])
                    if any(f.name == "preset" for f in fields(config)) else ())

@@ -17,7 +17,7 @@ from ..fit.confidence import DETERMINED
 from ..fit.config import FitConfig
 from ..fit.generator.detail import why_not, with_detail
 from ..fit.methods import METHODS, method_name
-from ..fit.omitted import decided_later, known_before, used
+from ..fit.omitted import explained, used
 from ..fit.options import FitOptions
 from ..fit.result import Fit
 from ..io import results
@@ -114,9 +114,10 @@ def _pretrain(picture: Path, out: Path, config: FitConfig, options: FitOptions, 
 
 def _explain(task: FitTask, options: FitOptions) -> int:
     """Say what the fit omits and uses."""
-    for what, why in known_before(task):
+    known, later = explained(task)
+    for what, why in known:
         say(f"omitted: {what} ({why})")
-    for what, when in decided_later(task):
+    for what, when in later:
         say(f"may be omitted: {what} ({when})")
     if options.detail == "none":
         say("omitted: plausible detail (not asked for)")
@@ -203,7 +204,7 @@ def settings(arguments: Sequence[str], usual: FitConfig | None = None) -> FitCon
         usual: settings that the arguments change. Default, and for another method: that method's defaults.
     """
     asked = _asked(arguments)
-    kind = METHODS[asked.method or (method_name(usual) if usual else next(iter(METHODS)))].config
+    kind = METHODS[asked.method or (method_name(usual) if usual else next(iter(METHODS)))]
     if isinstance(usual, kind) and not asked.preset:
         return usual
     presets = get_args(get_type_hints(kind).get("preset"))

@@ -1,10 +1,9 @@
 """From a capture to a :class:`Fit`: four methods behind one function."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 from ..capture import Capture
 from ..errors import ConfigError
@@ -13,11 +12,16 @@ from ..io.profile import profiled
 from ..render import Renderer
 from .config import DirectConfig, FitConfig, HierarchicalConfig, HybridConfig
 from .diagnose import diagnosed
+from .direct import Direct
 from .gan_config import GanConfig
+from .generator.gan import Gan
+from .generator.hybrid import Hybrid
 from .live import Live, LiveState
 from .loop import Loop
-from .methods import make_method
+from .method import Method
+from .methods import method_name
 from .result import Fit
+from .solved_gan import SolvedGan, solver_of
 from .task import FitTask, fit_task
 
 
@@ -82,6 +86,18 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
                      iterations=config.iterations or (None if config.budget else 10_000))
     one = capture.pick(capture.index[:1])
     Loop(make_method(FitTask(one, renderer, config)), one, renderer, config, checkpoint, report).run()
+
+
+def make_method(task: FitTask[Any]) -> Method:
+    """The method that a task's settings belong to, ready to step; ConfigError: they belong to none."""
+    match method_name(task.config):
+        case "hierarchical":
+            return solver_of(task)
+        case "gan":
+            return SolvedGan(task) if task.config.begins == "solved" else Gan(task)
+        case "hybrid":
+            return Hybrid(task)
+    return Direct(task)
 
 
 FitResult = Fit  # its name in version 1; version 2.1 drops it

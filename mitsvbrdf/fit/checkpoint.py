@@ -24,6 +24,8 @@ KINDS = {torch.float32: "F32", torch.float64: "F64", torch.float16: "F16", torch
          torch.int64: "I64", torch.int32: "I32", torch.uint8: "U8", torch.bool: "BOOL"}  # of the format
 MOST_NAMED = 4  # of what differs from the run that is resumed
 BANDED = 64  # rows of a tensor that are looked at together
+Held = Tensor | torch.Generator | torch.optim.Optimizer | torch.nn.Module
+Part = Held | Mapping[str, Tensor]  # of a running state
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], note: dict) -> None:
@@ -53,11 +55,7 @@ def _bytes(value: Tensor) -> memoryview:
 
 
 def load_tensors(path: Path | str) -> tuple[dict[str, Tensor], dict]:
-    """What :func:`save_tensors` wrote.
-
-    Raises:
-        ConfigError: no such file, not a checkpoint of this package, or a damaged one.
-    """
+    """What :func:`save_tensors` wrote; ConfigError: no checkpoint of this package, or a damaged one."""
     try:
         if not Path(path).is_file():  # a pipe would be waited for
             raise ValueError("no such file")
@@ -91,18 +89,41 @@ def part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
     return {key.removeprefix(prefix): value for key, value in tensors.items() if key.startswith(prefix)}
 
 
-def optimizer_state(name: str, optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
-    """A copy of an optimiser's running averages, as named tensors."""
-    return {f"{name}.{i}.{key}": value.clone() for i, entry in optimizer.state_dict()["state"].items()
-            for key, value in entry.items()}
+def state_of(parts: Mapping[str, Part]) -> dict[str, Tensor]:
+    """Copies of tensors, weights, running averages and random states: those of a part begin with its name."""
+    state = {}
+    for name, each in parts.items():
+        if isinstance(each, Tensor):
+            state[name] = each
+        elif isinstance(each, torch.Generator):
+            state[name] = each.get_state()
+        elif isinstance(each, torch.optim.Optimizer):
+            state |= {f"{name}.{i}.{key}": value for i, entry in each.state_dict()["state"].items()
+                      for key, value in entry.items()}
+        else:
+            held = each.state_dict() if isinstance(each, torch.nn.Module) else each
+            state |= {f"{name}.{key}": value for key, value in held.items()}
+    return {name: value.detach().clone() for name, value in state.items()}
 
 
-def load_optimizer_state(name: str, optimizer: torch.optim.Optimizer, state: dict[str, Tensor]) -> None:
-    """The inverse of :func:`optimizer_state`; step sizes stay as they are.
+def load_parts(parts: Mapping[str, Held], state: dict[str, Tensor]) -> None:
+    """Bring parts to the state of :func:`state_of`; step sizes stay as they are.
 
-    Raises:
-        ValueError: averages that are not those of the parameters.
+    LookupError, RuntimeError, TypeError, ValueError: the state of other parts.
     """
+    for name, each in parts.items():
+        if isinstance(each, Tensor):
+            with torch.no_grad():
+                each.copy_(state[name])
+        elif isinstance(each, torch.Generator):
+            each.set_state(state[name])
+        elif isinstance(each, torch.nn.Module):
+            each.load_state_dict(part(state, f"{name}."))
+        else:
+            _load_optimizer(name, each, state)
+
+
+def _load_optimizer(name: str, optimizer: torch.optim.Optimizer, state: dict[str, Tensor]) -> None:
     parameters = [parameter for group in optimizer.param_groups for parameter in group["params"]]
     entries: dict[int, dict[str, Tensor]] = {}
     for key, value in part(state, f"{name}.").items():
@@ -113,16 +134,6 @@ def load_optimizer_state(name: str, optimizer: torch.optim.Optimizer, state: dic
     if any({"step", "exp_avg", "exp_avg_sq"} - entry.keys() for entry in entries.values()):
         raise ValueError(f"averages of {name} are missing")
     optimizer.load_state_dict({"state": entries, "param_groups": optimizer.state_dict()["param_groups"]})
-
-
-def module_state(name: str, module: torch.nn.Module) -> dict[str, Tensor]:
-    """A copy of a network's weights, as named tensors."""
-    return {f"{name}.{key}": value.detach().clone() for key, value in module.state_dict().items()}
-
-
-def load_module_state(name: str, module: torch.nn.Module, state: dict[str, Tensor]) -> None:
-    """The inverse of :func:`module_state`."""
-    module.load_state_dict(part(state, f"{name}."))
 
 
 def fingerprints(config: FitConfig, capture: Capture, renderer: str,

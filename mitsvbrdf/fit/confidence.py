@@ -12,8 +12,6 @@ Numbers are those in which errors are counted (docs/conventions.md). Each has a 
 photo tells, the deviation is that of a uniform number, 1 / sqrt(12).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping
 from dataclasses import replace
@@ -43,17 +41,9 @@ def deviations(svbrdf: SVBRDF, views: Views, task: FitTask,
                basis: Tensor | None = None) -> tuple[Deviations, Deviations]:
     """Deviations of the fitted maps by own photos, and with look-alikes: by name r x r x C, r <= 1024.
 
-    Without look-alikes the latter have no map.
-
-    They are those of every k-th texel, k = R / 1024 rounded up; C is 2 of a normal (x and y).
-
-    Args:
-        svbrdf, views: as fitted.
-        task: the photos and the fixed maps.
-        basis: appearance of the basis materials whose texels share numbers, K x 5; None where none do.
-
-    Raises:
-        BackendError: Mitsuba, the variant or libLLVM is missing.
+    They are those of every k-th texel, k = R / 1024 rounded up; C is 2 of a normal (x and y). The basis is
+    the appearance of the basis materials whose texels share numbers, K x 5; where none do, the latter have no
+    map. BackendError: Mitsuba, the variant or libLLVM is missing.
     """
     side, capture, fixed = svbrdf.resolution, task.capture, dict(task.fixed)
     every = _every(side, GRID)

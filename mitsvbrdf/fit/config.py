@@ -5,8 +5,9 @@ The docstring of a field is its ``--help``: one line, since shells complete opti
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Annotated, ClassVar, Literal, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, get_args, get_origin, get_type_hints
 
 from tyro.conf import arg
 
@@ -32,6 +33,17 @@ def check_seed(seed: int) -> None:
     """Raise ConfigError for a seed that torch would not take."""
     if not 0 <= seed < 2**32:
         raise ConfigError("a seed from 0 to 4294967295", str(seed), "choose a smaller one")
+
+
+def check_numbers(config: Any, positive: Sequence[str]) -> None:
+    """Raise ConfigError for a number out of range; those named here may not be 0."""
+    check_seed(config.seed)
+    for name, value in vars(config).items():
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or name == "seed":
+            continue
+        least, most = "> 0" if name in positive else ">= 0", MOST.get(name, LARGEST)
+        if not (value > 0 or value == 0 and name not in positive) or value > most:
+            raise ConfigError(f"{name} {least} and <= {most:g}", str(value), "give such a number")
 
 
 @dataclass(frozen=True)
@@ -62,19 +74,11 @@ class FitConfig:
             if get_origin(kind) is Literal and getattr(self, name) not in get_args(kind):
                 raise ConfigError(f"{name} of {get_args(kind)}", repr(getattr(self, name)),
                                   "choose one of these")
-        check_seed(self.seed)
         stated_maps(self.fix, self.bsdf, self.grey_specular)
         if self.weights.get("photometric", 1.0) == 0 and self.weights.get("adversarial", 0.0) == 0:
             raise ConfigError("a fit that looks at the photos", "--photometric 0 and no adversarial weight",
                               "give one of them a weight > 0")
-        for field in fields(self):
-            value, name = getattr(self, field.name), field.name
-            if isinstance(value, bool) or not isinstance(value, (int, float)) or name == "seed":
-                continue
-            least = "> 0" if name in POSITIVE else ">= 0"
-            if not (value > 0 or value == 0 and name not in POSITIVE) or value > MOST.get(name, LARGEST):
-                raise ConfigError(f"{name} {least} and <= {MOST.get(name, LARGEST):g}", str(value),
-                                  "give such a number")
+        check_numbers(self, POSITIVE)
 
     def limited(self) -> FitConfig:
         """Itself with the method's default limit filled in where none was given."""

@@ -119,11 +119,9 @@ def views_record(capture: Capture, views: Views, estimated: EstimatedViews | Non
 
     Args:
         capture: the photos, with the views that the fit began with.
-        views: as fitted.
-        estimated: how the former were estimated from the photos; None where they were stated.
+        estimated: how these were estimated from the photos; None where they were stated.
         refined: standard deviations N x 7 of the changes since (:data:`mitsvbrdf.calibrate.refine.CHANGE`).
         flash: standard deviations (x, y) of the flash offset that all photos share, where it was fitted.
-        light_power_factor: by what the maps changed the light power (:mod:`mitsvbrdf.fit.light_power`).
     """
     sides, begun = views.in_patch_sides(), capture.views.in_patch_sides()
     told = [ESTIMATED.unpack(estimated.deviation)] if estimated else []

@@ -1,7 +1,5 @@
 """``direct``, the baseline: each texel optimised on its own through the renderer, from a robust start."""
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 
@@ -9,7 +7,7 @@ from ..io.profile import profiled, switch_at
 from ..material.maps import SVBRDF
 from ..views import Views
 from . import losses
-from .checkpoint import load_optimizer_state, optimizer_state
+from .checkpoint import Held
 from .config import DirectConfig
 from .method import Method, cosine, descend
 from .parameters import streams_of, to_raw, to_svbrdf
@@ -27,12 +25,11 @@ class Direct(Method[DirectConfig]):
         start = robust_start(task.capture, task.guess, config.bsdf, self.fixed)
         self.raw = {k: v.requires_grad_() for k, v in to_raw(start, streams).items()}
         self.edges = losses.edge_weights(task.guess)
-        self.peak = config.learning_rate
-        self.optimizer = torch.optim.Adam(list(self.raw.values()), lr=self.peak)
+        self.optimizer = torch.optim.Adam(list(self.raw.values()), lr=config.learning_rate)
 
     def step(self, progress: float) -> dict[str, float]:
         """One Adam step on all photos."""
-        self.optimizer.param_groups[0]["lr"] = self.peak * cosine(progress)
+        self.optimizer.param_groups[0]["lr"] = self.pace * self.config.learning_rate * cosine(progress)
         with profiled("hand-over"):
             svbrdf = to_svbrdf(self.config.bsdf, self.raw, self.fixed)
             switch_at("hand-over, backward", *svbrdf.maps.values())
@@ -56,20 +53,7 @@ class Direct(Method[DirectConfig]):
         with torch.no_grad():
             return to_svbrdf(self.config.bsdf, self.raw, self.fixed).map(Tensor.contiguous), self.views
 
-    def cut_step(self) -> None:
-        """Halve the step size."""
-        self.peak /= 2
-
-    def state(self) -> dict[str, Tensor]:
-        """The raw maps, Adam's averages and the step size."""
-        raw = {f"raw.{name}": value.detach().clone() for name, value in self.raw.items()}
-        peak = torch.tensor(self.peak, dtype=torch.float64)
-        return raw | optimizer_state("optimizer", self.optimizer) | {"peak": peak}
-
-    def load_state(self, state: dict[str, Tensor]) -> None:
-        """Go on from a saved state."""
-        with torch.no_grad():
-            for name, value in self.raw.items():
-                value.copy_(state[f"raw.{name}"])
-        load_optimizer_state("optimizer", self.optimizer, state)
-        self.peak = float(state["peak"])
+    @property
+    def parts(self) -> dict[str, Held]:
+        """The raw maps and Adam's averages."""
+        return {"optimizer": self.optimizer, **{f"raw.{name}": value for name, value in self.raw.items()}}

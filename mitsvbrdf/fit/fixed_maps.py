@@ -1,7 +1,5 @@
 """Fixed maps, which are not fitted: ``--fix NAME=VALUE`` checked, and made into tensors."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping, Sequence
@@ -21,11 +19,7 @@ LEAST_ROUGHNESS = 1 / 512
 def stated_maps(fix: Sequence[str], bsdf: Bsdf, grey_specular: bool = False) -> dict[str, str]:
     """What ``--fix`` says, as map name -> value, checked but for the files it names.
 
-    Args:
-        fix: ``NAME=VALUE`` each; a value is ``flat`` (normal), a number, three numbers ``r,g,b``, or an image
-            file.
-        bsdf: the parameter set.
-        grey_specular: whether specular has one level instead of three channels.
+    Each is ``NAME=VALUE``; a value is ``flat`` (normal), a number, three numbers ``r,g,b``, or an image file.
 
     Raises:
         ConfigError: an unknown map, a number out of range, a map twice, or nothing left to fit.
@@ -53,11 +47,7 @@ def stated_maps(fix: Sequence[str], bsdf: Bsdf, grey_specular: bool = False) -> 
 def fixed_maps(fix: Sequence[str], bsdf: Bsdf, resolution: int) -> dict[str, Tensor]:
     """The fixed maps, name -> R x R x C, float32, linear. A constant takes no memory: its strides are 0.
 
-    Args:
-        fix: as in :func:`stated_maps`; files are read as those of a folder of maps, and brought to R by area
-            averages.
-        bsdf: the parameter set.
-        resolution: R.
+    Files are read as those of a folder of maps, and brought to R by area averages.
 
     Raises:
         ConfigError: see :func:`stated_maps`; a file that is not there; roughness to fit without a specular

@@ -1,7 +1,5 @@
 """Settings of ``gan``: the paper's presets, ours, and a switch for each ingredient between them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple, get_args
 
@@ -46,17 +44,11 @@ AS_PRESET: Any = None  # not given: GanConfig fills in what its preset has
 
 
 class Phase(NamedTuple):
-    """A part of the training: a discriminator and optimisers of its own; the generator's weights stay.
+    """A part of the training: a discriminator and optimisers of its own; the generator's weights stay."""
 
-    Args:
-        share: of the whole run.
-        photos: how many of the first photos are used; None uses all.
-        halvings: how often the resolution is halved.
-    """
-
-    share: float
-    photos: int | None = None
-    halvings: int = 0
+    share: float  # of the whole run
+    photos: int | None = None  # how many of the first photos are used; None uses all
+    halvings: int = 0  # how often the resolution is halved
 
 
 @dataclass(frozen=True)
@@ -92,8 +84,6 @@ class GanConfig(FitConfig):
     """Gradient steps of the normal/roughness decoder per step of the diffuse/specular decoder (III.F)."""
     pictures: int = AS_PRESET
     """Photos or blends compared in one step."""
-    crop: int = 0
-    """Side of random training crops in texels (stationary mode of Zhao 2020). 0: whole photos."""
     discriminator_rate: float = AS_PRESET
     """Adam's step size of the discriminator."""
     game: Game = AS_PRESET
@@ -145,7 +135,7 @@ class GanConfig(FitConfig):
     @property
     def _of_guess(self) -> list[str]:
         """Settings given that only the game from the guess has."""
-        usual = PRESETS[self.preset] | {"crop": 0, "precision": "auto"}
+        usual = PRESETS[self.preset] | {"precision": "auto"}
         return [name for name, value in usual.items()
                 if name not in OF_SOLVED and getattr(self, name) not in (AS_PRESET, value)]
 
@@ -174,8 +164,6 @@ class GanConfig(FitConfig):
         if self.head_start > 1:
             raise ConfigError("a head start of 0 to 1", str(self.head_start),
                               "0.1 is a tenth of it; 0 gives none")
-        if 0 < self.crop < 16:
-            raise ConfigError("crop of 16 texels or more, or 0", str(self.crop), "0 trains on whole pictures")
 
     @property
     def _one_picture_first(self) -> bool:

@@ -6,8 +6,6 @@ the Fresnel curve beside the lens). Nearly all materials but metals have an F0 n
 where one lobe for all texels only guesses.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import torch

@@ -45,19 +45,12 @@ RINGS, EVEN = 8, 0.02  # of equal half angle whose texels are alike; deviation o
 
 
 class Pixels(NamedTuple):
-    """M pixels of a photo.
+    """M pixels of a photo."""
 
-    Args:
-        at: their texels' places on the patch, M x 2.
-        shown: linear radiance, M x 3.
-        noise: its standard deviation, M x 3.
-        clipped: channels that only bound the radiance from below, M x 3.
-    """
-
-    at: Tensor
-    shown: Tensor
-    noise: Tensor
-    clipped: Tensor
+    at: Tensor  # their texels' places on the patch, M x 2
+    shown: Tensor  # linear radiance, M x 3
+    noise: Tensor  # its standard deviation, M x 3
+    clipped: Tensor  # channels that only bound the radiance from below, M x 3
 
     @staticmethod
     def of(capture: Capture) -> Pixels:
@@ -74,31 +67,20 @@ class Pixels(NamedTuple):
 
 
 class Posterior(NamedTuple):
-    """Log of how likely classes and nodes are with pixels, M x K x J, and what texels then are.
+    """Log of how likely K classes and J nodes are with M pixels, and what texels then are."""
 
-    Args:
-        likely: M x K x J.
-        slopes: of the normals, M x K x J x 2.
-        roughness: M x K x J.
-        diffuse: mean of the diffuse colour, linear, M x K x J x 3.
-    """
-
-    likely: Tensor
-    slopes: Tensor
-    roughness: Tensor
-    diffuse: Tensor
+    likely: Tensor  # M x K x J
+    slopes: Tensor  # of the normals, M x K x J x 2
+    roughness: Tensor  # M x K x J
+    diffuse: Tensor  # mean of the diffuse colour, linear, M x K x J x 3
 
 
 class LookClasses:
-    """K look classes: their numbers, each in its range.
+    """K look classes, by the numbers of :data:`PARTS` without bounds: each in its range.
 
     ``lightness`` is the deviation of diffuse colours along their mean over it, ``tint`` that of each channel
-    in linear^(1/2.2), ``worn`` that of the log of roughness, ``relief`` that of a normal's slope.
-
-    Args:
-        numbers: of :data:`PARTS`, without bounds.
-        views: the stated view; place and power are changes of it, 0 where it is held.
-        held: whether the view is held.
+    in linear^(1/2.2), ``worn`` that of the log of roughness, ``relief`` that of a normal's slope. ``place``
+    and ``power`` are changes of the stated view, 0 where it is held.
     """
 
     def __init__(self, numbers: Tensor, views: Views, held: bool) -> None:
@@ -134,12 +116,7 @@ class LookClasses:
         return half[:, :2] / half[:, 2:], white / half[:, 2:] / math.pi
 
     def posterior(self, pixels: Pixels, nodes: Tensor) -> Posterior:
-        """What M pixels may be.
-
-        Args:
-            pixels: M.
-            nodes: standard normal numbers of slopes and log roughness, M x J x 3.
-        """
+        """What M pixels may be, at nodes M x J x 3: standard normal numbers of slopes and log roughness."""
         q, white = self.lit(pixels.at)
         q, noise = q[:, None, None], (pixels.noise / white)[:, None, None]
         tail = 1 + TAIL * nodes[..., :2].square().sum(dim=-1, keepdim=True)
@@ -184,12 +161,7 @@ class LookClasses:
 
     @staticmethod
     def texels(found: Posterior, specular: Tensor) -> Tensor:
-        """Means of texels: diffuse and specular as linear^(1/2.2), roughness, unit normal; M x 10.
-
-        Args:
-            found: of M pixels.
-            specular: of the classes, K x 3.
-        """
+        """Means of texels: diffuse and specular as linear^(1/2.2), roughness, unit normal; M x 10."""
         weight = torch.softmax(found.likely.flatten(1), dim=1).reshape(found.likely.shape)
         normal = F.normalize(F.pad(found.slopes, (0, 1), value=1.0), dim=-1)
         each, diffuse = weight[..., None], color.encode(found.diffuse.clamp_min(DARK))

@@ -1,13 +1,11 @@
 """The loop all methods share: limits, trace, best result, checkpoints, taking bad steps back, Ctrl-C."""
 
-from __future__ import annotations
-
 import math
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from functools import cached_property
 from pathlib import Path
-from typing import Protocol
 
 from torch import Tensor
 
@@ -22,7 +20,10 @@ from ..render import Renderer
 from ..views import Views
 from .checkpoint import differing, fingerprints, load_tensors, part, save_tensors
 from .config import FitConfig
+from .live import SIDE, Live, LiveState
 from .method import Method
+from .methods import method_name
+from .warnings import about_photos, about_steps
 
 CHECKPOINT_SECONDS = 30.0
 MAX_UNDONE = 20
@@ -33,34 +34,20 @@ NOTE = {"iteration": int, "seconds": NUMBER, "undone": [{"iteration": int, "reas
 Seen = tuple[float, SVBRDF, Views]  # re-rendering error, material and views of a state
 
 
-class Watcher(Protocol):
-    """Who may look at a running fit, and must not change it: :class:`mitsvbrdf.fit.live.Live`."""
-
-    def offer(self, loop: Loop, stopped: str | None = None) -> None:
-        """See the fit, and why it ended."""
-        ...
-
-
 class Loop:
     """Runs a method within its limits.
 
     Args:
-        method: what to advance.
-        capture: the photos to compare with.
-        renderer: renders the comparison.
-        config: limits and seed.
         checkpoint: file to save the state to now and then, and at the end; None saves nothing.
         report: called after each measurement with the trace entry and the share done (0 to 1).
-        live: what the fit is watched through while it runs; None shows nothing.
+        live: shows the fit while it runs; None shows nothing.
     """
 
     def __init__(self, method: Method, capture: Capture, renderer: Renderer, config: FitConfig,
                  checkpoint: Path | None = None, report: Callable[[dict, float], None] | None = None,
-                 live: Watcher | None = None) -> None:
+                 live: Live | None = None) -> None:
         self.method, self.capture, self.renderer, self.config = method, capture, renderer, config.limited()
         self.checkpoint, self.report, self.live = checkpoint, report, live
-        self.beat = method.measured_every
-        self.latest_is_best = method.latest_is_best
         self.iteration, self.seconds = 0, 0.0
         self.undone: list[dict] = []  # iteration and reason of each step taken back
         self.trace: list[dict] = []
@@ -81,14 +68,14 @@ class Loop:
                 if why:
                     break
                 if self.live:
-                    self.live.offer(self)
+                    self.live.offer(self._state)
                 good, losses = self._advance(good)
                 if self.checkpoint and time.perf_counter() - saved > CHECKPOINT_SECONDS:
                     self.save()
                     saved = time.perf_counter()
         why = "interrupted" if stop else why  # Ctrl-C may have come since we looked
         self.method.ended = True
-        off_beat = self.iteration % self.beat > 0 or not self.whole
+        off_beat = self.iteration % self.method.measured_every > 0 or not self.whole
         if off_beat:
             good, losses, seen = self._checked(good, losses, whole=True)
         if self.checkpoint:
@@ -96,7 +83,7 @@ class Loop:
         if off_beat:
             self._record(seen, losses)
         if self.live:
-            self.live.offer(self, why)
+            self.live.offer(lambda: self._state(why), ended=True)
         return why
 
     def _begin(self) -> None:
@@ -107,13 +94,9 @@ class Loop:
         self._record(seen, {})
 
     def _advance(self, good: dict[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, float]]:
-        """One step, taken back where its result is not finite.
+        """One step, taken back to the state ``good`` where its result is not finite.
 
-        Args:
-            good: a sound state to go back to; the present one where a measurement was just made.
-
-        Returns:
-            The state to go back to next time, and the losses.
+        Gives the state to go back to next time, and the losses.
         """
         with profiled("other"):  # but for the parts inside
             try:
@@ -125,7 +108,7 @@ class Loop:
             return self._undo(good, f"{broken[-1]} not finite"), {}
         losses.pop("gradient", None)
         self.iteration += 1
-        if self.iteration % self.beat == 0:
+        if self.iteration % self.method.measured_every == 0:
             self.seconds = time.perf_counter() - self.started
             good, losses, seen = self._checked(good, losses)
             self._record(seen, losses)
@@ -145,10 +128,8 @@ class Loop:
         return good, {}, seen
 
     def _look(self, whole: bool = False) -> Seen | str:
-        """Error, maps and views of the present state, or the name of what in it is not finite.
-
-        Args:
-            whole: look at all texels, where a sample would do.
+        """Error, maps and views of the present state (of a sample, where that does and the whole is not
+        asked for), or the name of what in it is not finite.
         """
         with profiled("measuring"):
             for name, value in self.method.state().items():
@@ -191,9 +172,23 @@ class Loop:
         over = self.config.budget and self.seconds >= self.config.budget
         return "budget" if over and self.iteration else None  # a first step is made, however short the budget
 
+    def _state(self, stopped: str | None = None) -> LiveState:
+        """What a live page shows now."""
+        method, capture = self.method, self.capture
+        svbrdf = method.preview() or self.seen[1]
+        return LiveState(
+            svbrdf.detach().resized(min(SIDE, svbrdf.resolution)),
+            capture.source.name if capture.source else "", method_name(method.config), self.renderer.name,
+            capture.resolution, self.iteration, self.seconds, self.progress, stopped, method.latest_is_best,
+            self.trace, [*self._about_photos, *about_steps(self.undone)])
+
+    @cached_property
+    def _about_photos(self) -> list[str]:
+        return [*self.capture.notes, *about_photos(self.capture)]
+
     def _record(self, seen: Seen, losses: dict[str, float]) -> None:
         self.seen = seen
-        if self.best is None or self.latest_is_best or seen[0] < self.best[0]:
+        if self.best is None or self.method.latest_is_best or seen[0] < self.best[0]:
             self.best = seen
         entry = {"seconds": round(self.seconds, 3), "iteration": self.iteration, **losses,
                  "rerender_rmse": seen[0]}
@@ -223,11 +218,7 @@ class Loop:
             save_tensors(self.checkpoint, tensors, note)
 
     def resume(self, path: Path) -> None:
-        """Continue from a checkpoint of the same method and size.
-
-        Raises:
-            ConfigError: it is none, or of another kind of fit.
-        """
+        """Continue from a checkpoint; ConfigError: it is none, or of another kind of fit."""
         tensors, note = load_tensors(path)
         if note.get("method") != type(self.method).__name__ or note.get("bsdf") != self.config.bsdf:
             raise ConfigError(f"a checkpoint of {type(self.method).__name__} / {self.config.bsdf}",

@@ -1,7 +1,5 @@
 """The losses, each a plain function of tensors, unweighted."""
 
-from __future__ import annotations
-
 import functools
 import operator
 from collections.abc import Collection, Mapping, Sequence
@@ -26,13 +24,7 @@ ABOUT = {"diffuse": ("diffuse", "base_color", "metallic"), "smooth": ("specular"
 
 
 def unused(weights: Mapping[str, float], bsdf: Bsdf, fixed: Collection[str]) -> dict[str, str]:
-    """The losses that a fit does not compute, and why: their weight is 0, or their maps are fixed.
-
-    Args:
-        weights: of the method's losses.
-        bsdf: the parameter set.
-        fixed: names of the fixed maps.
-    """
+    """The losses that a fit does not compute, and why: their weight is 0, or their maps are fixed."""
     reasons = {}
     for name, weight in weights.items():
         about = [m for m in ABOUT.get(name, ()) if m in CHANNELS[bsdf]]
@@ -55,9 +47,7 @@ def photometric(rendered: Tensor, photos: Tensor, transfer: color.Transfer) -> T
     Measured on `cards-blue` at equal time, against the absolute part alone: photos seen 0.0369 -> 0.0342,
     left out 0.0628 -> 0.0616.
 
-    Args:
-        rendered: linear radiance N x R x R x 3, unclamped.
-        photos: display values in [0, 1], the same shape.
+    Rendered is linear radiance N x R x R x 3, unclamped; photos are display values in [0, 1].
     """
     error = color.encode(rendered, transfer) - photos
     size = torch.where(photos >= CLIPPED, error.clamp_max(0), error).abs()
@@ -118,13 +108,7 @@ def discriminator(real: Tensor, fake: Tensor, game: Game = "bce") -> Tensor:
 
 
 def adversarial(real: Tensor, fake: Tensor, game: Game = "bce") -> Tensor:
-    """What the generator minimises; ``bce`` is -log of the probability of a photo (non-saturating).
-
-    Args:
-        real: logits of photos, which only ``relativistic`` looks at.
-        fake: logits of renderings.
-        game: as for :func:`discriminator`.
-    """
+    """What the generator minimises, of the same logits; ``bce`` is -log of the probability of a photo."""
     if game == "relativistic":
         return F.softplus(real - fake).mean()
     return -fake.mean() if game == "hinge" else F.softplus(-fake).mean()

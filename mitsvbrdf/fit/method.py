@@ -1,7 +1,5 @@
 """What the loop asks of a method, and what methods share."""
 
-from __future__ import annotations
-
 import math
 from abc import ABC, abstractmethod
 from typing import Generic
@@ -14,27 +12,22 @@ from ..io.profile import profiled
 from ..material.maps import SVBRDF
 from ..render.needs import Omitted
 from ..views import Views
+from .checkpoint import Held, load_parts, state_of
 from .task import Config, FitTask
 
 
 class Method(ABC, Generic[Config]):
-    """One way to fit, advanced step by step. Its whole running state is named tensors.
+    """One way to fit, advanced step by step. Its whole running state is named tensors."""
 
-    Args:
-        task: what to fit.
-    """
-
-    measured_every = 10
-    """Steps between measurements: a fixed count, so that a resumed run keeps the same best result."""
-    latest_is_best = False
-    """Whether the result is the last state, not the one that explains its photos best."""
-    ended = False
-    """Whether no step follows: only the result is asked for."""
+    measured_every = 10  # steps; a fixed count, so that a resumed run keeps the same best result
+    latest_is_best = False  # whether the result is the last state, not the one that explains photos best
+    ended = False  # whether no step follows: only the result is asked for
 
     def __init__(self, task: FitTask[Config]) -> None:
         self.capture, self.renderer, self.config = task.capture, task.renderer, task.config
         self.views, self.fixed, self.unused = task.capture.views, task.fixed, task.unused
         self.fits_offset = task.why_no_flash_offset is None
+        self.pace = 1.0  # factor of all step sizes
 
     def compared(self, rendered: Tensor) -> Tensor:
         """Renderings (linear, N x R x R x 3) with the photos where these are masked: no error is there."""
@@ -50,16 +43,23 @@ class Method(ABC, Generic[Config]):
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The present material and views, detached."""
 
-    @abstractmethod
+    @property
+    def parts(self) -> dict[str, Held]:
+        """What steps change, by name."""
+        return {}
+
     def state(self) -> dict[str, Tensor]:
         """Everything a later :meth:`load_state` needs to go on bit by bit."""
+        return state_of(self.parts) | {"pace": torch.tensor(self.pace, dtype=torch.float64)}
 
-    @abstractmethod
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Continue from a saved state."""
+        load_parts(self.parts, state)
+        self.pace = float(state["pace"])
 
-    def cut_step(self) -> None:  # noqa: B027
-        """Halve the step size, after a step was undone; nothing where there is none."""
+    def cut_step(self) -> None:
+        """Halve the step sizes, after a step was undone."""
+        self.pace /= 2
 
     def end(self) -> None:  # noqa: B027
         """Free what only further steps would need."""
@@ -96,8 +96,7 @@ class Method(ABC, Generic[Config]):
 def descend(total: Tensor, *optimizers: torch.optim.Optimizer) -> float:
     """One step of each optimiser down the gradient of ``total``, unless that gradient is not finite.
 
-    Returns:
-        0, or NaN where no step was made: logged as a loss, it makes the loop undo.
+    Gives 0, or NaN where no step was made: logged as a loss, it makes the loop undo.
     """
     for optimizer in optimizers:
         optimizer.zero_grad(set_to_none=True)

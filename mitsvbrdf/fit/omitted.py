@@ -1,7 +1,5 @@
 """What a fit omits, and why: known from photos, renderer and settings, or decided while the fit runs."""
 
-from __future__ import annotations
-
 from ..render.needs import Omitted, scene_needs
 from ..views import Views
 from . import losses
@@ -9,6 +7,7 @@ from .config import HierarchicalConfig, HybridConfig
 from .detail_config import DetailConfig
 from .fixed_maps import described, unknown_but
 from .gan_config import FEWEST, GanConfig
+from .hierarchical.omitted import decided_later, omitted_stages
 from .posterior import step_of
 from .task import FitTask
 
@@ -22,9 +21,7 @@ _NO_DISCRIMINATOR = "there is no generator to teach: each pixel's error says wha
 def omitted_by(task: FitTask, views: Views | None = None) -> list[Omitted]:
     """What a fit does not compute, whatever its method decides later: the renderer's list and the method's.
 
-    Args:
-        task: photos, renderer and settings.
-        views: as fitted. Default: as calibrated. A flash offset found later can need the Fresnel curve.
+    The views are as fitted; default: as calibrated. A flash offset found later can need the Fresnel curve.
     """
     config = task.config
     material = unknown_but(task.fixed, config.bsdf, task.capture.resolution, config.grey_specular)
@@ -39,30 +36,18 @@ def omitted_by(task: FitTask, views: Views | None = None) -> list[Omitted]:
     if config.wants_flash_offset is not None and task.why_no_flash_offset:
         items.append(Omitted("flash offset", task.why_no_flash_offset))
     if not isinstance(config, (GanConfig, HybridConfig)):
-        looks = task.repeats and task.repeats.stationary
-        items += [Omitted("generator", _LOOKS if looks else _NO_GENERATOR),
+        items += [Omitted("generator", _LOOKS if task.of_looks else _NO_GENERATOR),
                   Omitted("discriminator", _NO_DISCRIMINATOR)]
     elif "discriminator" not in dict(used(task)):
         items.append(Omitted("discriminator", "no loss asks for its verdict"))
     return items
 
 
-def known_before(task: FitTask) -> list[Omitted]:
-    """What a fit omits whatever its photos show."""
-    if not isinstance(task.config, HierarchicalConfig) or task.repeats and task.repeats.stationary:
-        return omitted_by(task)
-    from .hierarchical.omitted import omitted_stages
-
-    return omitted_by(task) + omitted_stages(task)
-
-
-def decided_later(task: FitTask) -> list[Omitted]:
-    """What a fit decides while it runs; ``why`` says when it omits it."""
-    if not isinstance(task.config, HierarchicalConfig) or task.repeats and task.repeats.stationary:
-        return []
-    from .hierarchical import omitted
-
-    return omitted.decided_later(task)
+def explained(task: FitTask) -> tuple[list[Omitted], list[Omitted]]:
+    """What a fit omits whatever its photos show, and what it decides later; there ``why`` says when."""
+    if not isinstance(task.config, HierarchicalConfig) or task.of_looks:
+        return omitted_by(task), []
+    return omitted_by(task) + omitted_stages(task), decided_later(task)
 
 
 def used(task: FitTask) -> list[tuple[str, str]]:

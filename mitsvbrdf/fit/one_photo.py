@@ -3,8 +3,6 @@
 Its lobes are checked by the photo: the maps, laid elsewhere, must resemble it (:func:`.repeats.unlike`).
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -16,7 +14,7 @@ from .. import color
 from ..io.profile import profiled
 from ..material.maps import SVBRDF
 from ..views import Views
-from .checkpoint import load_optimizer_state, optimizer_state
+from .checkpoint import Held
 from .config import HierarchicalConfig
 from .hierarchical.sharing import basis_materials
 from .look_classes import CLASSES, LookClasses, Pixels, material
@@ -56,9 +54,6 @@ class OnePhoto(Method[HierarchicalConfig]):
     """Descends to the likeliest look classes: from each start, then from the best one.
 
     A view that is not stated has its place and light power among the unknowns.
-
-    Args:
-        task: one photo.
     """
 
     measured_every = 10**6  # steps: texels are found once, at the end
@@ -69,7 +64,7 @@ class OnePhoto(Method[HierarchicalConfig]):
         self.held, self.pixels = task.capture.calibrated or task.config.holds_views, Pixels.of(task.capture)
         self.begun = robust_start(task.capture, task.guess, "roughconductor", task.fixed)
         self.starts = self._starts()
-        self.done_steps, self.peak, self.best_cost = 0, RATES[1], math.inf
+        self.done_steps, self.best_cost = 0, math.inf
         self._descend_from(self.starts[0])
         self.best = self.numbers.detach().clone()
 
@@ -110,7 +105,7 @@ class OnePhoto(Method[HierarchicalConfig]):
                 if last == -1:
                     self._descend_from(self.best)
             else:
-                cost = self._descents(ITERATIONS, last * ITERATIONS, STEPS, self.peak, MANY, MORE)
+                cost = self._descents(ITERATIONS, last * ITERATIONS, STEPS, self.pace * RATES[1], MANY, MORE)
         self.done_steps += 1
         return {"cost": cost}
 
@@ -132,10 +127,6 @@ class OnePhoto(Method[HierarchicalConfig]):
             self.optimizer.step()
             costs.append(float(cost.detach()))
         return sum(costs[-10:]) / len(costs[-10:])
-
-    def cut_step(self) -> None:
-        """Halve the step size."""
-        self.peak /= 2
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The texels by the present classes; before all starts were tried, the robust start."""
@@ -159,15 +150,18 @@ class OnePhoto(Method[HierarchicalConfig]):
         least = min(range(len(found)), key=misses.__getitem__)
         return found[least if misses[least] < LESS * misses[0] else 0]
 
+    @property
+    def parts(self) -> dict[str, Held]:
+        """The numbers, those of the best start, and Adam's averages."""
+        return {"numbers": self.numbers, "best": self.best, "adam": self.optimizer}
+
     def state(self) -> dict[str, Tensor]:
-        """The numbers, those of the best start, Adam's averages, and how far it is."""
-        return {"numbers": self.numbers.detach().clone(), "best": self.best.clone(),
-                "done": torch.tensor(self.done_steps), **optimizer_state("adam", self.optimizer),
-                "rates": torch.tensor([self.peak, min(self.best_cost, 1e30)], dtype=torch.float64)}
+        """Also how far it is, and the cost of the best start."""
+        return super().state() | {"done": torch.tensor(self.done_steps), "best_cost": torch.tensor(
+            min(self.best_cost, 1e30), dtype=torch.float64)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
-        self._descend_from(state["numbers"])
-        load_optimizer_state("adam", self.optimizer, state)
-        self.best, self.done_steps = state["best"].clone(), int(state["done"])
-        self.peak, self.best_cost = state["rates"].tolist()
+        self._descend_from(self.numbers.detach())  # without averages
+        super().load_state(state)
+        self.done_steps, self.best_cost = int(state["done"]), float(state["best_cost"])

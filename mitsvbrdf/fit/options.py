@@ -21,7 +21,7 @@ FORMER = {"own": "detail_spread", "tails": "highlight_reach", "likeness": "simil
           "independent": "remove_burn_in", "rivals": "multi_start"}
 # settings of earlier fits, whose fit.json is still read
 GONE = ("guessed_normal", "highlight_aware", "kl", "average", "fresh_pictures", "integrated",
-        "marginalise")
+        "marginalise", "crop")
 
 
 @dataclass(frozen=True)
@@ -98,4 +98,4 @@ def config_of(record: dict) -> FitConfig:
                                 for name, value in record.items() if name not in ("method", *GONE)}
     if isinstance(settings.get("start"), bool):  # of earlier fits
         settings["start"] = "guess" if settings["start"] else "untrained"
-    return METHODS[record["method"]].config(**settings)
+    return METHODS[record["method"]](**settings)

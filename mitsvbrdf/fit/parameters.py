@@ -1,7 +1,5 @@
 """From unbounded numbers to a valid material and back: every output is in range by construction."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import torch
@@ -59,9 +57,7 @@ def from_units(bsdf: Bsdf, units: Mapping[str, Tensor], fixed: Mapping[str, Tens
 def to_raw(svbrdf: SVBRDF, streams: Streams | None = None) -> dict[str, Tensor]:
     """The inverse of :func:`to_svbrdf`, with values cut just inside their ranges: name -> C x R x R.
 
-    Args:
-        svbrdf: the material.
-        streams: which maps and channels; default: all.
+    Only of the maps of these streams; default: all.
     """
     first, second = streams or STREAMS[svbrdf.bsdf]
     raw = {}

@@ -11,8 +11,6 @@ Look-alikes, where the fit uses them, give each basis material a mean and a devi
 share of its texels, the strangers, only their own photos speak.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import NamedTuple

@@ -37,17 +37,11 @@ FROM = {"given": "The views are those of the capture's calibration",
         "estimated": "The views were estimated from the rectified photos alone"}
 _CALIBRATION = {"from": str, "estimated": bool, "refined": bool, "log_power_sd": NUMBER,
                 "camera_sd": {str: [NUMBER]}, "log_exposure_sd": {str: NUMBER}, "flash_offset_sd": [NUMBER]}
-
-
 T = TypeVar("T")
 
 
 class Fact(Generic[T]):
-    """An attribute of a fit that is a field of its record; without a default the record has it.
-
-    Args:
-        default: where the record lacks it.
-    """
+    """An attribute of a fit that is a field of its record; the default is for a record that lacks it."""
 
     def __init__(self, default: Any = ...) -> None:
         self.default = default
@@ -62,9 +56,7 @@ class Fact(Generic[T]):
 def record_in(folder: Path) -> dict:
     """What the ``fit.json`` of a fit holds, unchecked, with the present names of its fields.
 
-    Raises:
-        OSError: it cannot be read.
-        ValueError: it is no JSON.
+    OSError: it cannot be read. ValueError: it is no JSON.
     """
     record = load(folder / FILE)
     for former, name in FORMER.items() if isinstance(record, dict) else ():
@@ -76,8 +68,7 @@ def record_in(folder: Path) -> dict:
 def checked(record: dict) -> dict:
     """The record, where every field that is there is of its kind, and views and light are there.
 
-    Raises:
-        ValueError: naming the field.
+    ValueError: naming the field.
     """
     shape = _KNOWN | {name: kind for name, kind in (_SHAPE | _BESIDE).items() if name in record
                       and name not in _KNOWN}

@@ -1,7 +1,5 @@
 """Whether one photo is that of a material that repeats itself."""
 
-from __future__ import annotations
-
 import itertools
 from typing import NamedTuple
 
@@ -23,19 +21,12 @@ HARDLY_TOLD = "specular, roughness and normals are hardly determined; take more 
 
 
 class Repeats(NamedTuple):
-    """Whether one photo counts as one of a material that repeats itself.
+    """Whether one photo counts as one of a material that repeats itself."""
 
-    Args:
-        stationary: whether it does.
-        between: how much of the variance of its ranks lies between sixteenths of the photo, 0 to 1.
-        contrast: by how much of their lightness these differ.
-        asked: whether the user says so, and not the photo.
-    """
-
-    stationary: bool
-    between: float
-    contrast: float
-    asked: bool
+    stationary: bool  # whether it does
+    between: float  # how much of the variance of its ranks lies between sixteenths of the photo, 0 to 1
+    contrast: float  # by how much of their lightness these differ
+    asked: bool  # whether the user says so, and not the photo
 
     def said(self) -> str:
         """What is said of it."""
@@ -54,11 +45,8 @@ def repeats(capture: Capture, asked: bool | None = None) -> Repeats:
 
     Of a flat patch, all pixels of a ring of equal half angle have the same light and the same lobe, so their
     ranks by lightness are the material's. Of a stationary material they are alike in all blocks of the photo.
-    A flash of which nothing is known stands where they are most alike.
-
-    Args:
-        capture: one photo with its view.
-        asked: what the user says; None leaves it to the photo.
+    A flash of which nothing is known stands where they are most alike. ``asked`` is what the user says; None
+    leaves it to the photo.
     """
     shifts = [(0.0, 0.0)] if capture.calibrated else list(itertools.product(PLACES, PLACES))
     between, contrast = min(_uneven(capture, torch.tensor([*shift, 0.0]).double()) for shift in shifts)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, get_args
 
 import torch
 from torch import Tensor
@@ -30,22 +30,18 @@ from .record import FILE, SCHEMA_VERSION, Fact, checked, missing, record_in
 _FACTS = ("rerender_rmse", "calibrated_rmse", "renderer", "variant", "warnings", "stopped", "trace",
           "profile")  # fields of the record that :meth:`Fit.but` changes there
 ALIKE = "with-look-alikes"  # folder of deviations that count look-alikes
-T = TypeVar("T")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit:
-    """A fit, in memory or from its folder: what ``fit.json`` says, and arrays, read on first use.
+    """A fit, in memory or from its folder: what ``fit.json`` says, and arrays, read on first use."""
 
-    Args:
-        record: what ``fit.json`` holds (docs/formats.md); empty for maps that came without a fit.
-        path: its folder; of a fit in memory the working folder.
-        known: attributes that are in memory, by name.
-    """
+    record: dict = field(default_factory=dict)  # of fit.json (docs/formats.md); empty for maps without a fit
+    path: Path = Path()  # its folder; of a fit in memory the working folder
+    known: Mapping[str, Any] = field(default_factory=dict)  # attributes that are in memory, by name
 
-    record: dict = field(default_factory=dict)
-    path: Path = Path()
-    known: Mapping[str, Any] = field(default_factory=dict)
+    def __post_init__(self) -> None:
+        vars(self).update(self.known)  # where cached properties look first
 
     method = Fact[str | None](None)
     """Name of the method; None when unknown."""
@@ -109,25 +105,21 @@ class Fit:
             facts["detail"] = changes["detail_record"]
         return Fit(self.record | facts, self.path, {**self.known, **changes})
 
-    def _or(self, name: str, otherwise: Callable[[], T]) -> T:
-        return self.known[name] if name in self.known else otherwise()
-
     @cached_property
     def svbrdf(self) -> SVBRDF:
         """The material: of ``hierarchical`` the last state, else that with the lowest re-rendering error."""
-        return self._or("svbrdf", lambda: load_maps(self.path / "maps", self.record["bsdf"]))
+        return load_maps(self.path / "maps", self.record["bsdf"])
 
     @cached_property
     def detail(self) -> SVBRDF | None:
         """One plausible draw of what no photo shows, for pictures; None where none was asked for."""
         folder = self.path / (DETAIL if (self.path / DETAIL).is_dir() else FORMER_DETAIL)
-        return self._or("detail", lambda: load_maps(folder, self.record["bsdf"])
-                        if "detail" in self.record else None)
+        return load_maps(folder, self.record["bsdf"]) if "detail" in self.record else None
 
     @cached_property
     def guess(self) -> Tensor:
         """The guessed diffuse map, R x R x 3 linear."""
-        return self._or("guess", lambda: self._image("guess/diffuse.exr"))
+        return self._image("guess/diffuse.exr")
 
     @cached_property
     def photos(self) -> Tensor:
@@ -138,28 +130,29 @@ class Fit:
     @cached_property
     def rerendered(self) -> Tensor:
         """Linear radiance N x R x R x 3 of the photos used."""
-        return self._or("rerendered", lambda: torch.stack([*map(self.rerendering, range(len(self.names)))]))
+        return torch.stack([*map(self.rerendering, range(len(self.names)))])
 
     def rerendering(self, row: int) -> Tensor:
         """One of :attr:`rerendered`, R x R x 3; of large ones in memory, it is rendered by each call."""
-        if "seen_by" in self.known and "rerendered" not in self.known:
+        if "rerendered" in self.known:
+            return self.rerendered[row]
+        if "seen_by" in self.known:
             return self.known["seen_by"].render(self.svbrdf, self.views.pick([row]))[0]
-        return self._or("rerendered", lambda: {row: self._image(f"rerendered/{self.names[row]}.exr")})[row]
+        return self._image(f"rerendered/{self.names[row]}.exr")
 
     @cached_property
     def deviations(self) -> Mapping[str, Tensor]:
         """Deviation of fitted maps by own photos: r x r x C, r <= 1024; in a folder R x R x 1 (RMS)."""
-        return self._deviations("deviations", "uncertainty")
+        return self._deviations("uncertainty")
 
     @cached_property
     def deviations_with_look_alikes(self) -> Mapping[str, Tensor]:
         """The same with look-alikes, which is the error to expect; empty where texels share nothing."""
-        return self._deviations("deviations_with_look_alikes", f"uncertainty/{ALIKE}")
+        return self._deviations(f"uncertainty/{ALIKE}")
 
-    def _deviations(self, kind: str, of: str) -> Mapping[str, Tensor]:
-        return self._or(kind, lambda: {
-            name: self._image(f"{of}/{name}.exr")[..., :1] for name in self.record["confidence"]
-            if (self.path / f"{of}/{name}.exr").is_file()})
+    def _deviations(self, of: str) -> Mapping[str, Tensor]:
+        return {name: self._image(f"{of}/{name}.exr")[..., :1] for name in self.record["confidence"]
+                if (self.path / f"{of}/{name}.exr").is_file()}
 
     def _image(self, name: str) -> Tensor:
         return images.read_image(self.path / name, MapsError)
@@ -167,7 +160,7 @@ class Fit:
     @cached_property
     def config(self) -> FitConfig:
         """The method and its settings."""
-        return self._or("config", lambda: config_of({"method": self.method, **self.record["config"]}))
+        return config_of({"method": self.method, **self.record["config"]})
 
     def engine(self) -> Renderer | None:
         """The renderer of the fit; None for one that is not ours."""
@@ -179,31 +172,30 @@ class Fit:
         """Names of the maps that were not fitted."""
         return list(described(self.record["config"]["fix"]))
 
-    @property
+    @cached_property
     def omitted(self) -> tuple[Omitted, ...]:
         """What the scene or the method did not need."""
-        return self._or("omitted", lambda: tuple(Omitted(each["what"], each["why"])
-                                                 for each in self.record.get("omitted", ())))
+        return tuple(Omitted(each["what"], each["why"]) for each in self.record.get("omitted", ()))
 
     @property
     def used(self) -> tuple[tuple[str, str], ...]:
         """(what, how) of each network that was trained."""
         return tuple((each["what"], each["how"]) for each in self.record.get("used", ()))
 
-    @property
+    @cached_property
     def undone(self) -> tuple[dict, ...]:
         """``iteration`` and ``reason`` of each step that made something non-finite and was taken back."""
-        return self._or("undone", lambda: tuple(self.record["undone"]))
+        return tuple(self.record["undone"])
 
     @property
     def detail_record(self) -> dict | None:
         """Settings, seconds and losses of the plausible detail, or None."""
         return self.record.get("detail")
 
-    @property
+    @cached_property
     def per_photo(self) -> list[float]:
         """The error of each photo."""
-        return self._or("per_photo", lambda: list(self.record["per_photo"].values()))
+        return list(self.record["per_photo"].values())
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -215,47 +207,47 @@ class Fit:
         """Names of the photos that it used."""
         return list(self.record["per_photo"])
 
-    @property
+    @cached_property
     def seen(self) -> tuple[int, ...]:
         """Numbers of the photos that it used."""
-        return self._or("seen", lambda: tuple(self.record["capture"]["photos"]) if self.record else ())
+        return tuple(self.record["capture"]["photos"]) if self.record else ()
 
-    @property
+    @cached_property
     def capture(self) -> str | None:
         """Name of the folder of its photos; None when unknown."""
-        return self._or("capture", lambda: self.record["capture"]["name"] if self.record else None)
+        return self.record["capture"]["name"] if self.record else None
 
-    @property
+    @cached_property
     def transfer(self) -> color.Transfer | None:
         """How its photos encode light; None when unknown."""
-        return self._or("transfer", lambda: self.record["capture"]["transfer"] if self.record else None)
+        return self.record["capture"]["transfer"] if self.record else None
 
     @cached_property
     def views(self) -> Views:
         """The views as fitted, the flash offset in their lights; see :attr:`known_views`."""
-        return self._or("views", lambda: Views.of(*(self.record["views"][name] for name in (
-            "camera", "light", "intensity", "size", "falloff"))))
+        return Views.of(*(self.record["views"][name] for name in ("camera", "light", "intensity", "size",
+                                                                  "falloff")))
 
     @property
     def known_views(self) -> Views | None:
         """The same, or None: maps that came without a fit have none."""
         return self.views if "views" in self.known or "views" in self.record else None
 
-    @property
+    @cached_property
     def falloff(self) -> Falloff:
         """Falloff of its light; inverse-square when unknown."""
-        return self._or("falloff", lambda: self.record.get("views", {}).get("falloff", "inverse-square"))
+        return self.record.get("views", {}).get("falloff", "inverse-square")
 
-    @property
+    @cached_property
     def flash_offset(self) -> tuple[float, float] | None:
         """By how much (x, y), in patch sides, the fit moved the flash beside the lens, or None."""
         found = self.record.get("flash_offset")
-        return self._or("flash_offset", lambda: found and (float(found["x"]), float(found["y"])))
+        return found and (float(found["x"]), float(found["y"]))
 
-    @property
+    @cached_property
     def estimated(self) -> bool:
         """Whether the views were estimated from the photos."""
-        return self._or("estimated", lambda: self.calibration.get("estimated", False) is True)
+        return self.calibration.get("estimated", False) is True
 
     @property
     def light_power_factor(self) -> float:

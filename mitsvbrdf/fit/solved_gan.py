@@ -7,11 +7,8 @@ judged by what it predicts of the patches, beside the second answer without a ch
 answer with the change of those maps that helped; often, that is none.
 """
 
-from __future__ import annotations
-
 import itertools
 import math
-from collections.abc import Mapping
 from dataclasses import replace
 
 import torch
@@ -25,17 +22,16 @@ from ..io.profile import profiled
 from ..material.maps import SVBRDF
 from ..render.needs import Omitted
 from ..views import Views
-from .checkpoint import part
+from .checkpoint import Part, part, state_of
 from .confidence import deviations
 from .config import HierarchicalConfig
 from .detail_config import DetailConfig
 from .gan_config import FEWEST, GanConfig
 from .generator.bounded import Bounded
 from .generator.detail import DetailTraining
-from .generator.gan import Gan
 from .hierarchical import Hierarchical
 from .method import Method
-from .methods import make_method
+from .one_photo import OnePhoto
 from .task import FitTask
 
 BLOCKS = 16  # patches along a side, of each of which one photo is held out
@@ -46,20 +42,13 @@ VIEWS = "camera", "light", "intensity"
 GAME, ENDED = 2, 3  # stages after solving with all photos (0) and without the patches (1)
 
 
-def gan_of(task: FitTask[GanConfig]) -> Method[GanConfig]:
-    """The game from the start that is asked for."""
-    return SolvedGan(task) if task.config.begins == "solved" else Gan(task)
+def solver_of(task: FitTask[HierarchicalConfig]) -> Method:
+    """The default method; of one photo of a material that repeats itself, that by its looks."""
+    return OnePhoto(task) if task.of_looks else Hierarchical(task)
 
 
 class SolvedGan(Method[GanConfig]):
-    """Rounds of the solver, then steps of the game.
-
-    Args:
-        task: photos, guess and settings.
-
-    Raises:
-        BackendError: Mitsuba, the variant or libLLVM is missing.
-    """
+    """Rounds of the solver, then steps of the game. BackendError: Mitsuba or libLLVM is missing."""
 
     latest_is_best = True  # photos held out decide, not those seen
 
@@ -80,7 +69,7 @@ class SolvedGan(Method[GanConfig]):
         config = HierarchicalConfig(bsdf=own.bsdf, guess=own.guess, seed=own.seed, fix=own.fix,
                                     grey_specular=own.grey_specular, flash_offset=own.flash_offset,
                                     budget=budget)
-        return make_method(FitTask(task.capture, task.renderer, config, None, task.estimated))
+        return solver_of(FitTask(task.capture, task.renderer, config, None, task.estimated))
 
     def step(self, progress: float) -> dict[str, float]:
         """A round of the solver, or a step of the game."""
@@ -192,20 +181,20 @@ class SolvedGan(Method[GanConfig]):
     def cut_step(self) -> None:
         """Halve the step sizes of the game."""
         if self.game:
-            self.game.cut /= 2
+            self.game.pace /= 2
 
     @property
     def omitted(self) -> list[Omitted]:
         """What the solver omitted, and the maps that the game did not help."""
-        why = "photos held out of it are predicted no better with it: the map stays as solved"
-        if len(self.capture) < FEWEST:
-            return [*self.solvers[0].omitted, Omitted("the game", f"fewer than {FEWEST} photos: none can be "
-                                                                  "held out of it; the maps stay as solved")]
-        if not self.game:
-            return [*self.solvers[0].omitted, Omitted("the game", "no time was left for it, or the run was "
-                                                                  "stopped; the maps stay as solved")]
-        return [*self.solvers[0].omitted, *(Omitted(f"the game's change of {name}", why)
-                                            for name in self.game.bounded.bounds if name not in self.kept)]
+        if self.game:
+            why = "photos held out of it are predicted no better with it: the map stays as solved"
+            found = [Omitted(f"the game's change of {name}", why) for name in self.game.bounded.bounds
+                     if name not in self.kept]
+        else:
+            why = ("no time was left for it, or the run was stopped" if len(self.capture) >= FEWEST else
+                   f"fewer than {FEWEST} photos: none can be held out of it")
+            found = [Omitted("the game", f"{why}; the maps stay as solved")]
+        return self.solvers[0].omitted + found
 
     @property
     def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
@@ -214,16 +203,15 @@ class SolvedGan(Method[GanConfig]):
 
     def state(self) -> dict[str, Tensor]:
         """Where it stands, its solvers, the answers, and the game."""
-        state = {"at": torch.tensor([self.stage, self.steps, self.began, self.gain], dtype=torch.float64)}
-        for number, solver in enumerate(self.solvers):
-            state |= named(f"solver{number}", solver.state())
+        parts: dict[str, Part] = {f"solver{k}": solver.state() for k, solver in enumerate(self.solvers)}
+        parts["at"] = torch.tensor([self.stage, self.steps, self.began, self.gain], dtype=torch.float64)
         if self.answer:
-            state |= named("answer", _tensors(*self.answer))
+            parts["answer"] = _tensors(*self.answer)
         if self.game:
             solved = self.game.bounded
-            state |= named("solved", _tensors(solved.svbrdf, solved.views)) | named("bound", solved.bounds)
-            state |= named("game", self.game.state()) | named("kept", self.kept)
-        return state
+            parts |= {"solved": _tensors(solved.svbrdf, solved.views), "bound": solved.bounds,
+                      "game": self.game.state(), "kept": self.kept}
+        return state_of(parts)
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
@@ -251,11 +239,6 @@ class SolvedGan(Method[GanConfig]):
 
 def _tensors(svbrdf: SVBRDF, views: Views) -> dict[str, Tensor]:
     return {**svbrdf.maps, **{name: getattr(views, name) for name in VIEWS}}
-
-
-def named(name: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Copies of tensors, each with a prefix to its name; see :func:`.checkpoint.part`."""
-    return {f"{name}.{key}": value.detach().clone() for key, value in tensors.items()}
 
 
 def spared(capture: Capture, seed: int) -> Tensor:

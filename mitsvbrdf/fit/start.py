@@ -1,7 +1,5 @@
 """The robust start: guessed diffuse, one specular level, one roughness, flat normals, or fixed maps."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 
 import torch
@@ -16,17 +14,11 @@ ROUGHNESS_GRID = (0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.5, 0.6, 0.7, 0.85)
 
 def robust_start(capture: Capture, guess: Tensor, bsdf: Bsdf, fixed: Mapping[str, Tensor]
                  | None = None) -> SVBRDF:
-    """The start of a fit: the guess, and one specular level and roughness for all texels.
+    """The start of a fit: the guess (R x R x 3, linear), one specular level and one roughness for all texels.
 
-    Their lobe explains best what the guess leaves of the photos.
-
-    For each roughness of a short grid the level is the least-squares one over unclipped pixels of all photos.
-
-    Args:
-        capture: photos and views; reduced to at most 64 px for the search.
-        guess: guessed diffuse map, R x R x 3 linear.
-        bsdf: the parameter set.
-        fixed: maps that are not fitted, R x R x C; they are in the result, and the search keeps to them.
+    Their lobe explains best what the guess leaves of the photos, at 64 px at most. For each roughness of a
+    short grid the level is the least-squares one over unclipped pixels of all photos. Fixed maps, R x R x C,
+    are in the result, and the search keeps to them.
     """
     fixed = fixed or {}
     level, roughness = _lobe(capture, guess, fixed)

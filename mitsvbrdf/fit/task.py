@@ -1,7 +1,5 @@
 """What a fit is given and may find, decided once for all methods: guess, fixed maps, free views."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,24 +25,14 @@ Refined = Literal["never", "unless exact", "always"]
 
 @dataclass(frozen=True, eq=False)
 class FitTask(Generic[Config]):
-    """A capture to fit with a method's settings. What follows from them is found on first use.
+    """A capture to fit with a method's settings. What follows from them is found on first use."""
 
-    Args:
-        capture: photos and views.
-        renderer: carries the gradients and draws the comparison.
-        config: which method, and its settings.
-        own_guess: guessed diffuse map, R x R x 3 linear; None makes it of the photos.
-        estimated: how the views were estimated from the photos; None where they were stated, or stay the
-            default.
-        light_doubted: whether photos contradict the stated light power.
-    """
-
-    capture: Capture
-    renderer: Renderer
-    config: Config
-    own_guess: Tensor | None = None
-    estimated: EstimatedViews | None = None
-    light_doubted: bool = False
+    capture: Capture  # photos and views
+    renderer: Renderer  # carries the gradients and draws the comparison
+    config: Config  # which method, and its settings
+    own_guess: Tensor | None = None  # guessed diffuse map, R x R x 3 linear; None makes it of the photos
+    estimated: EstimatedViews | None = None  # views from the photos; None where stated, or the default
+    light_doubted: bool = False  # whether photos contradict the stated light power
 
     @cached_property
     def fixed(self) -> Mapping[str, Tensor]:
@@ -82,6 +70,11 @@ class FitTask(Generic[Config]):
             return None
         return repeats(self.capture, asked)
 
+    @property
+    def of_looks(self) -> bool:
+        """Whether it is one photo of a material that repeats itself."""
+        return self.repeats is not None and self.repeats.stationary
+
     @cached_property
     def views_known(self) -> bool:
         """Whether the views are stated, or can be estimated from the photos."""
@@ -97,7 +90,7 @@ class FitTask(Generic[Config]):
             return "the views are a stated default, not a calibration"
         if config.holds_views:
             return "the views are held"
-        if self.repeats and self.repeats.stationary:
+        if self.of_looks:
             return "one photo does not tell it from the tilt of all its texels"
         return ("mitsuba-scene has no gradient to the lights" if self.renderer.name == "mitsuba-scene"
                 else None)

@@ -33,7 +33,7 @@ def poison_averages(loop):
 def test_what_a_step_leaves_behind_is_checked(poison, word, at, leather):
     # The losses of this step are fine, and a raw number of infinity even renders: only the state shows it.
     loop = loop_of(leather, DirectConfig(iterations=24))
-    step, peak = loop.method.step, loop.method.peak
+    step = loop.method.step
 
     def poisoned(progress):
         losses = step(progress)
@@ -43,7 +43,7 @@ def test_what_a_step_leaves_behind_is_checked(poison, word, at, leather):
 
     loop.method.step = poisoned
     assert loop.run() == "iterations"
-    assert len(loop.undone) == 1 and word in loop.undone[0]["reason"] and loop.method.peak == peak / 2
+    assert len(loop.undone) == 1 and word in loop.undone[0]["reason"] and loop.method.pace == 0.5
     assert all(torch.isfinite(value).all() for value in loop.method.state().values())
     assert [entry["iteration"] for entry in loop.trace] == [0, 10, 20, 24]
     loop.best[1].check()

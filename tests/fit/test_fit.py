@@ -40,8 +40,7 @@ SMALL = {"hybrid": HybridConfig(width=8), "direct": DirectConfig(), "gan": GanCo
 # or 13.
 RESUMED = {name: (config, 32, 13) for name, config in SMALL.items()} | {
     "gan, bfloat16": (GanConfig(width=4, pictures=2, precision="bfloat16"), 64, 13),
-    "gan, before it grows": (GanConfig(width=4, pictures=2), 64, 5),
-    "gan, crops": (GanConfig(width=4, crop=16, features=1.0, paired=True, precision="float32"), 32, 13)}
+    "gan, before it grows": (GanConfig(width=4, pictures=2), 64, 5)}
 
 
 def with_limits(config, **limits):
@@ -163,11 +162,9 @@ def test_step_sizes_are_cut_until_the_fit_stays_finite(method, capture):
     loop.iteration = 1
     step, cut, cuts = loop.method.step, loop.method.cut_step, []
     loop.method.cut_step = lambda: (cut(), cuts.append(1))
-    sizes = {"hybrid": lambda m: m.peaks[0], "direct": lambda m: m.peak, "gan": lambda m: m.cut}[method]
-    first = sizes(loop.method)
-    loop.method.step = lambda p: step(p) if sizes(loop.method) < first / 8 else {"photometric": math.nan}
+    loop.method.step = lambda p: step(p) if loop.method.pace < 1 / 8 else {"photometric": math.nan}
     loop.run()
-    assert len(cuts) == len(loop.undone) == 4 and sizes(loop.method) == first / 16
+    assert len(cuts) == len(loop.undone) == 4 and loop.method.pace == 1 / 16
 
 
 def test_torchs_own_random_numbers_are_left_alone(capture):
@@ -267,7 +264,7 @@ def test_presets_are_the_papers():
         assert (paper.head_start, paper.smooth, paper.adversarial) == (0, 0, 1)
         assert paper.begins == "untrained"
         assert not any((paper.decay, paper.level, paper.angles, paper.paired, paper.clipping,
-                        paper.grow, paper.features, paper.crop))
+                        paper.grow, paper.features))
     assert [(round(p.share, 9), p.photos) for p in two.phases(256)] == [(0.4, 1), (0.6, None)]
     assert GanConfig(preset="paper-one-stage", width=8).width == 8  # what is given stays
 
@@ -276,7 +273,7 @@ def test_presets_are_the_papers():
     ({"game": "rpgan"}, "relativistic"), ({"generator": "unet"}, "two-stream"),
     ({"precision": "bf16"}, "bfloat16"),
     ({"adversarial": 0.0, "features": 0.0, "diffuse": 0.0, "smooth": 0.0}, "a loss"),
-    ({"head_start": 1.5}, "head start"), ({"crop": 4}, "crop of 16"),
+    ({"head_start": 1.5}, "head start"),
     ({"normal_roughness_steps": 5}, "two-stream"), ({"pictures": 0}, "pictures > 0"),
     ({"preset": "paper-two-stage", "generator": "all-photos", "normal_roughness_steps": 1},
      "--generator two-stream"), ({"preset": "paper-two-stage", "grow": True}, "growing")])

@@ -22,7 +22,7 @@ from mitsvbrdf.fit import (
 )
 from mitsvbrdf.fit.hierarchical import omitted as parts
 from mitsvbrdf.fit.hierarchical.stages import ROUNDS, Stage, Stages
-from mitsvbrdf.fit.omitted import decided_later, known_before, omitted_by, used
+from mitsvbrdf.fit.omitted import explained, omitted_by, used
 from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.material.maps import CHANNELS
 
@@ -73,7 +73,7 @@ def claims(leather):
     for shots, config in [*((leather, config) for config in configs), (unlit, HierarchicalConfig())]:
         for renderer in (ANALYTIC, MITSUBA):
             task = FitTask(shots, renderer, config)
-            said |= dict(known_before(task)).keys() | dict(decided_later(task)).keys()
+            said |= {each.what for found in explained(task) for each in found}
     return said
 
 
@@ -101,7 +101,7 @@ def test_what_the_free_stage_decides_is_said_with_its_figure(structure, without,
     assert method.omitted == []  # nobody has looked yet
     method.stages.judge(torch.tensor([structure, 0.01]))
     told = dict(method.omitted)
-    assert set(told) == without <= set(dict(decided_later(task)))
+    assert set(told) == without <= set(dict(explained(task)[1]))
     assert all(f"{structure:g}" in why for what, why in told.items() if what != parts.CROSS_VALIDATION)
 
 

@@ -120,7 +120,7 @@ def test_a_game_goes_on_from_its_saved_state_bit_for_bit(tiles, photos):
 def test_texels_that_the_photos_determine_stay_where_they_are(tiles, photos):
     # The bounds hold, however large the steps are: a deviation of 0.01 and less leaves no room.
     method = begun(photos, tiles, {name: 0.0124 for name in SPREAD})
-    method.game.cut = 100.0
+    method.game.pace = 100.0
     for step in range(3):
         method.game.step(step / 10)
     errors = map_rmse(method.game.material(), tiles)

@@ -18,18 +18,11 @@ STEEPEST = 0.95  # length of x and y of a normal that is bent, or that of the so
 
 @dataclass(frozen=True, eq=False)
 class Bounded:
-    """Where a change starts and how far it may go.
+    """Where a change starts and how far it may go."""
 
-    Args:
-        svbrdf: the solved maps, R x R.
-        views: as solved.
-        bounds: by map, the largest change of its numbers (:func:`mitsvbrdf.material.maps.numbers_of`),
-            R x R x C.
-    """
-
-    svbrdf: SVBRDF
-    views: Views
-    bounds: Mapping[str, Tensor]
+    svbrdf: SVBRDF  # the solved maps, R x R
+    views: Views  # as solved
+    bounds: Mapping[str, Tensor]  # by map, the largest change of its numbers_of, R x R x C
 
     @staticmethod
     def of(svbrdf: SVBRDF, views: Views, deviations: Mapping[str, Tensor], reach: float,
@@ -39,21 +32,14 @@ class Bounded:
             name: reach * (resized(spread, svbrdf.resolution) - certain).clamp_min(0)
             for name, spread in deviations.items()})
 
-    def moved(self, change: Mapping[str, Tensor], share: float = 1.0, top: int = 0, left: int = 0) -> SVBRDF:
+    def moved(self, change: Mapping[str, Tensor], share: float = 1.0) -> SVBRDF:
         """The maps with a share of their change; where the bound is 0, exactly the solved value.
 
-        Args:
-            change: of maps, C x H x W, unbounded: Tanh of it is the share of the bound.
-            share: of the change.
-            top, left: place of the H x W texels.
+        Tanh of the change, C x R x R, is the share of the bound.
         """
-        def cut(value: Tensor) -> Tensor:
-            return value[top:top + height, left:left + width]
-
-        height, width = next(iter(change.values())).shape[-2:] if change else self.svbrdf["normal"].shape[:2]
-        maps = {name: cut(value) for name, value in self.svbrdf.maps.items()}
+        maps = dict(self.svbrdf.maps)
         for name, value in change.items():
-            bound, numbers = share * cut(self.bounds[name]), numbers_of(name, maps[name])
+            bound, numbers = share * self.bounds[name], numbers_of(name, maps[name])
             moved, free = numbers + bound * torch.tanh(value.permute(1, 2, 0)), bound > 0
             if name == "normal":
                 solved, flat = (2 * x - 1 for x in (numbers, moved))

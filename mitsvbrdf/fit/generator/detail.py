@@ -9,10 +9,7 @@ the half vectors and the diffuse part, and the distance of projected patches. Th
 diffuse map hold it.
 """
 
-from __future__ import annotations
-
 import time
-from collections.abc import Callable
 from dataclasses import asdict, replace
 
 import torch
@@ -21,6 +18,7 @@ from torch.nn.utils import convert_conv2d_weight_memory_format
 
 from ... import color
 from ...capture import Capture
+from ...io import Report
 from ...io.entry import entry
 from ...io.signals import stop_signals
 from ...material.maps import SVBRDF, numbers_of
@@ -28,7 +26,7 @@ from ...measure.rerender import rerender
 from ...render import Renderer
 from ...views import Views, geometry
 from .. import losses
-from ..checkpoint import load_module_state, load_optimizer_state, module_state, optimizer_state
+from ..checkpoint import Held, load_parts, state_of
 from ..detail_config import DetailConfig
 from ..method import cosine, descend
 from ..parameters import STREAMS
@@ -44,27 +42,14 @@ NOISE = 4  # channels of noise that the generator sees
 VIEW_SCALE = 10.0  # brings 1 - z of half vectors, some hundredths, to the size of display values
 SHARES = (1.0, 0.85, 0.7, 0.55, 0.4, 0.25, 0.1, 0.0)  # of the generator's change that are tried
 
-Report = Callable[[str, float], object]
-
 
 @entry(gradients=True)
 def with_detail(result: Fit, capture: Capture, renderer: Renderer, config: DetailConfig | None = None,
                 report: Report = lambda text, share: None) -> Fit:
-    """A fit with plausible detail beside its maps.
+    """A fit, to these photos, with plausible detail beside its maps, which stay as they are.
 
-    Args:
-        result: a fit; its maps and all that belongs to them stay as they are.
-        capture: the photos it was fitted to.
-        renderer: carries the gradients.
-        config: settings. Default: ``DetailConfig()``.
-        report: told what is going on and the share done.
-
-    Returns:
-        The fit with ``detail`` and ``detail_record`` filled in. Both stay None after Ctrl-C and where
-        :func:`why_not` gives a reason.
-
-    Raises:
-        ConfigError: settings out of range.
+    Its ``detail`` and ``detail_record`` are filled in. Both stay None after Ctrl-C and where :func:`why_not`
+    gives a reason. ConfigError: settings out of range.
     """
     config = config or DetailConfig()
     config.check()
@@ -100,14 +85,7 @@ def why_not(result: Fit) -> str | None:
 
 
 class DetailTraining:
-    """Steps of the training.
-
-    Args:
-        bounded: the solved maps, and how far they may change.
-        capture: the photos.
-        renderer: carries the gradients.
-        config: settings.
-    """
+    """Steps of the training, from solved maps that may change within their bounds."""
 
     def __init__(self, bounded: Bounded, capture: Capture, renderer: Renderer, config: DetailConfig) -> None:
         self.capture, self.renderer, self.config, self.bounded = capture, renderer, config, bounded
@@ -115,7 +93,7 @@ class DetailTraining:
         size = capture.resolution
         self.side = max(min(size, 2 * PATCH), round(config.crop * size))
         self.random = torch.Generator().manual_seed(config.seed)
-        bounds, self.cut = bounded.bounds, 1.0  # of both step sizes, after steps that were undone
+        bounds, self.pace = bounded.bounds, 1.0  # factor of both step sizes
         condition = [2 * numbers_of(name, self.solved[name]) - 1 for name in bounds] + list(bounds.values())
         streams = tuple({name: bounds[name].shape[-1] for name in stream if name in bounds}
                         for stream in STREAMS[self.solved.bsdf])
@@ -153,8 +131,8 @@ class DetailTraining:
     def step(self, progress: float) -> dict[str, float]:
         """One step of both networks at this share (0 to 1) of the run; returns the losses before it."""
         config = self.config
-        self.optimizer.param_groups[0]["lr"] = self.cut * config.learning_rate * cosine(progress)
-        self.adversary.param_groups[0]["lr"] = self.cut * config.discriminator_rate * cosine(progress)
+        self.optimizer.param_groups[0]["lr"] = self.pace * config.learning_rate * cosine(progress)
+        self.adversary.param_groups[0]["lr"] = self.pace * config.discriminator_rate * cosine(progress)
         lights = [draw(self.views, self.albedo, self.side, config.tries, self.random)
                   for _ in range(config.lights)]
         moved = novel_views(self.views, lights, self.capture.resolution)
@@ -192,18 +170,17 @@ class DetailTraining:
 
     def state(self) -> dict[str, Tensor]:
         """Weights and averages of the networks, step sizes and random numbers."""
-        return {"cut": torch.tensor(self.cut, dtype=torch.float64), "random": self.random.get_state(),
-                **module_state("generator", self.generator), **optimizer_state("slow", self.optimizer),
-                **module_state("judge", self.discriminator), **optimizer_state("fast", self.adversary)}
+        return state_of(self._parts) | {"pace": torch.tensor(self.pace, dtype=torch.float64)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
-        self.cut = float(state["cut"])
-        self.random.set_state(state["random"])
-        for name, module, optimizer, its in (("generator", self.generator, self.optimizer, "slow"),
-                                             ("judge", self.discriminator, self.adversary, "fast")):
-            load_module_state(name, module, state)
-            load_optimizer_state(its, optimizer, state)
+        load_parts(self._parts, state)
+        self.pace = float(state["pace"])
+
+    @property
+    def _parts(self) -> dict[str, Held]:
+        return {"random": self.random, "generator": self.generator, "slow": self.optimizer,
+                "judge": self.discriminator, "fast": self.adversary}
 
     def _in_photos(self, lights: list[NovelLight], pictures: Tensor) -> Tensor:
         return torch.stack([light.in_photo(pictures[light.photo], self.side) for light in lights])

@@ -7,8 +7,6 @@ same views is rendered; the maps reported are those generated from the first pho
 the generator's weights are kept.
 """
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 from collections.abc import Callable
@@ -16,34 +14,34 @@ from collections.abc import Callable
 import torch
 from torch import Tensor, nn
 
+from ...errors import ConfigError
 from ...io.profile import profiled, switch_at
 from ...material.maps import SVBRDF
 from ...material.resample import enlarged
 from ...views import Views
 from .. import losses
-from ..checkpoint import load_module_state, load_optimizer_state, module_state, optimizer_state, part
+from ..checkpoint import Held, load_parts, load_tensors, part
 from ..gan_config import GanConfig, Phase
 from ..method import Method, cosine, descend
-from ..parameters import from_units, streams_of
+from ..parameters import Streams, from_units, streams_of
 from ..start import robust_start
 from ..task import FitTask
-from .build import make_generator
 from .conditioning import Conditioning, level, with_flash_at
-from .networks import PatchDiscriminator, TwoStreamGenerator, frozen, is_faster_in_bfloat16, seeded
-from .pictures import Pictures, PictureSource, seen_through
+from .networks import (
+    AllPhotosGenerator,
+    PatchDiscriminator,
+    TwoStreamGenerator,
+    frozen,
+    is_faster_in_bfloat16,
+    seeded,
+)
+from .pictures import Pictures, PictureSource
 
 FIRST_STEP = 0.02  # of the step size, at the least, while it rises: no step moves nothing
 
 
 class Gan(Method[GanConfig]):
-    """Steps of the training (III.F).
-
-    Args:
-        task: photos, guess, preset and weights.
-
-    Raises:
-        ConfigError: the pretrained checkpoint is of another size or kind.
-    """
+    """Steps of the training (III.F). ConfigError: the pretrained checkpoint is of another size or kind."""
 
     def __init__(self, task: FitTask[GanConfig]) -> None:
         super().__init__(task)
@@ -57,7 +55,6 @@ class Gan(Method[GanConfig]):
                          or config.precision == "auto" and is_faster_in_bfloat16())
         # features and maps of what later substeps do not move
         self.resting: tuple[Tensor, dict[str, Tensor]] | None = None
-        self.cut = 1.0  # of all step sizes, after steps that were undone
         self.offset = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # of the flash, in patch sides
         self.phases = config.phases(self.capture.resolution)
         self.whole = self._scale(Phase(1.0), {})  # the result is of this size
@@ -70,7 +67,7 @@ class Gan(Method[GanConfig]):
         judges, falling = name == "judge", cosine(max(share, 0.0)) if config.decay else 1.0
         rising = (1.0 if judges or share < 0 or share >= config.head_start
                   else max(share / config.head_start, FIRST_STEP))
-        return self.cut * rising * falling * (config.discriminator_rate if judges else config.learning_rate)
+        return self.pace * rising * falling * (config.discriminator_rate if judges else config.learning_rate)
 
     def _scale(self, phase: Phase, carried: dict[str, Tensor]) -> Conditioning:
         capture = (self.capture if phase.photos is None
@@ -82,7 +79,7 @@ class Gan(Method[GanConfig]):
         """A phase: a new discriminator and new optimisers; the generator's weights stay."""
         config, g = self.config, self.generator
         self.phase, self.scale = phase, self._scale(self.phases[phase], carried)
-        self.source = PictureSource(self.scale.capture, config.clipping, config.crop)
+        self.source = PictureSource(self.scale.capture, config.clipping)
         with seeded(config.seed + 1 + phase):
             inputs = 3 + 2 * config.angles + 3 * config.paired
             self.discriminator = PatchDiscriminator(config.width, inputs, config.level)
@@ -139,7 +136,7 @@ class Gan(Method[GanConfig]):
             logged |= {name: float(value.detach()) for name, value in terms.items()}
         if first:
             with profiled("losses"):
-                guess = self.scale.guess_in(pictures.window)
+                guess = self.scale.guess
                 own: dict[str, Callable[[], Tensor]] = {"diffuse": lambda: losses.diffuse(svbrdf, guess),
                     "smooth": lambda: losses.total_variation(svbrdf, losses.edge_weights(guess), self.fixed)}
                 terms = {name: loss() for name, loss in own.items() if name not in self.unused}
@@ -159,14 +156,13 @@ class Gan(Method[GanConfig]):
             change = self._out(pictures, first)
             switch_at("network, backward", *change.values())
         with profiled("hand-over"):
-            units, fixed = self.scale.units(change, pictures.window), self.scale.fixed_in(pictures.window)
-            svbrdf = from_units(self.config.bsdf, units, fixed)
+            svbrdf = from_units(self.config.bsdf, self.scale.units(change), self.scale.fixed)
             switch_at("hand-over, backward", *svbrdf.maps.values())
         return svbrdf
 
     def _out(self, pictures: Pictures, first: bool = True) -> dict[str, Tensor]:
-        """Output of the generator before Tanh, in the window of the pictures."""
-        g, (top, left, side) = self.generator, pictures.window
+        """Output of the generator before Tanh."""
+        g, side = self.generator, self.scale.capture.resolution
         with self._networks():
             if isinstance(g, TwoStreamGenerator):
                 if first or self.resting is None:
@@ -175,14 +171,13 @@ class Gan(Method[GanConfig]):
                         self.resting = code, g.decode(1, code, side)
                 out = g.decode(0, self.resting[0], side) | self.resting[1]
             else:
-                out = g(self.scale.condition[..., top:top + side, left:left + side])
+                out = g(self.scale.condition)
         out = {name: value.float() for name, value in out.items()}
         return level(out) if self.fits_offset else out
 
     def _rendered(self, svbrdf: SVBRDF, pictures: Pictures) -> Tensor:
         with profiled("renderer"):
-            views = seen_through(pictures.window, self._views(), self.scale.capture.resolution)
-            rendered = self.renderer.render(svbrdf, views.pick(pictures.index))
+            rendered = self.renderer.render(svbrdf, self._views().pick(pictures.index))
             switch_at("renderer, backward", rendered)
         with profiled("losses"):
             fake = pictures.of(rendered.float())  # of analytic64 too: the networks are float32
@@ -228,30 +223,45 @@ class Gan(Method[GanConfig]):
             return {name: value + self.scale.carried[name] if self.scale.carried else value
                     for name, value in out.items()}
 
-    def cut_step(self) -> None:
-        """Halve the step size of all optimisers."""
-        self.cut /= 2
+    @property
+    def parts(self) -> dict[str, Held]:
+        """Random numbers, the flash offset, and the networks of the phase."""
+        return {"random": self.random, "offset": self.offset, "generator": self.generator,
+                "discriminator": self.discriminator, **self.optimizers}
 
     def state(self) -> dict[str, Tensor]:
-        """Phase, step sizes, random numbers, and weights of the networks."""
-        state = {"random": self.random.get_state(), "phase": torch.tensor(self.phase),
-                 "offset": self.offset.detach().clone(),
-                 "cut": torch.tensor(self.cut, dtype=torch.float64), "bfloat16": torch.tensor(self.bfloat16)}
-        state |= {f"carried.{name}": value for name, value in self.scale.carried.items()}
-        for name in ("generator", "discriminator"):
-            state |= module_state(name, getattr(self, name))
-        for name, optimizer in self.optimizers.items():
-            state |= optimizer_state(name, optimizer)
-        return state
+        """Also the phase, and what it began with."""
+        begun = {f"carried.{name}": value for name, value in self.scale.carried.items()}
+        return super().state() | begun | {"phase": torch.tensor(self.phase),
+                                          "bfloat16": torch.tensor(self.bfloat16)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
-        """Go on from a saved state."""
-        self.cut, self.bfloat16 = float(state["cut"]), bool(state["bfloat16"])
+        """Go on from a saved state, in its phase."""
+        self.bfloat16 = bool(state["bfloat16"])
         self._begin(int(state["phase"]), part(state, "carried."))
-        self.random.set_state(state["random"])
-        with torch.no_grad():
-            self.offset.copy_(state["offset"])
-        for name in ("generator", "discriminator"):
-            load_module_state(name, getattr(self, name), state)
-        for name, optimizer in self.optimizers.items():
-            load_optimizer_state(name, optimizer, state)
+        super().load_state(state)
+
+
+def make_generator(config: GanConfig, streams: Streams,
+                   inputs: int) -> AllPhotosGenerator | TwoStreamGenerator:
+    """A generator with the weights of its seed, or of a checkpoint of ``--pretrain`` or of a ``gan`` fit.
+
+    ConfigError: no checkpoint, or one of another width or parameter set.
+    """
+    change = config.begins != "untrained"
+    with seeded(config.seed):
+        generator: AllPhotosGenerator | TwoStreamGenerator
+        if config.generator == "two-stream":
+            generator = TwoStreamGenerator(streams, config.width, change)
+        else:
+            generator = AllPhotosGenerator(inputs, streams, config.width, change)
+    if config.pretrained:
+        tensors, note = load_tensors(config.pretrained)
+        try:
+            load_parts({"generator": generator}, part(tensors, "method."))
+        except RuntimeError:
+            raise ConfigError(f"a generator of width {config.width} for {config.bsdf}",
+                              f"another one in {config.pretrained} (bsdf {note.get('bsdf')})",
+                              "use the --width, --bsdf, --generator, --fix and --grey-specular it was "
+                              "pretrained with") from None
+    return generator

@@ -1,7 +1,5 @@
 """What tells renderings from photos: a small discriminator, and random projections of patches."""
 
-from __future__ import annotations
-
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
@@ -11,12 +9,7 @@ DIRECTIONS = 64
 
 
 class HighlightDiscriminator(nn.Module):
-    """A patch discriminator; its first layer has no norm, so it sees levels, the next two instance norm.
-
-    Args:
-        inputs: channels: of a picture, and of what it is judged in view of.
-        width: channels of the first layer.
-    """
+    """A patch discriminator; its first layer has no norm, so it sees levels, the next two instance norm."""
 
     def __init__(self, inputs: int, width: int = 32) -> None:
         super().__init__()
@@ -36,10 +29,8 @@ def patch_distance(rendered: Tensor, photos: Tensor, angle: Tensor, random: torc
     """Sliced Wasserstein-1 distance of patches of paired pictures, among patches of like half-vector angle.
 
     Args:
-        rendered: N x H x W x 3, H and W at least :data:`PATCH`.
-        photos: the same shape.
-        angle: N x H x W, the same for both of a pair: any number that orders their pixels by half-vector
-            angle.
+        rendered, photos: N x H x W x 3, H and W at least :data:`PATCH`.
+        angle: N x H x W, the same for both of a pair: any number that orders pixels by half-vector angle.
         random: where the projections are drawn from, anew in each call.
         bins: how many equally large parts the patches of a pair are sorted into by angle.
 

@@ -6,8 +6,6 @@ convolutional network fits what repeats and what has structure before it fits no
 image prior).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -20,7 +18,7 @@ from ...io.profile import profiled, switch_at
 from ...material.maps import SVBRDF
 from ...views import Views
 from .. import losses
-from ..checkpoint import load_module_state, load_optimizer_state, module_state, optimizer_state
+from ..checkpoint import Held
 from ..config import HybridConfig
 from ..method import Method, cosine, descend
 from ..parameters import streams_of, to_raw, to_svbrdf
@@ -33,12 +31,7 @@ PATCH = 128  # side of the crops the discriminator compares
 
 
 class Hybrid(Method[HybridConfig]):
-    """Steps of the hybrid method.
-
-    Args:
-        task: photos, guess, weights and sizes; its renderer carries gradients, to the lights too when the
-            flash offset is fitted.
-    """
+    """Steps of the hybrid method; its renderer carries gradients, to the lights too for a flash offset."""
 
     def __init__(self, task: FitTask[HybridConfig]) -> None:
         super().__init__(task)
@@ -55,11 +48,10 @@ class Hybrid(Method[HybridConfig]):
         self.generator = convert_conv2d_weight_memory_format(generator, torch.channels_last)
         self.offset = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # patch sides
         groups: list[dict[str, Any]] = [{"params": list(self.generator.parameters()),
-                                         "lr": config.learning_rate}]
+                                         "peak": config.learning_rate}]
         if self.fits_offset:
-            groups.append({"params": [self.offset], "lr": 0.5 * config.learning_rate})
+            groups.append({"params": [self.offset], "peak": 0.5 * config.learning_rate})
         self.optimizer = torch.optim.Adam(groups)
-        self.peaks = [group["lr"] for group in groups]
         if "adversarial" not in self.unused:
             with seeded(config.seed + 1):
                 self.discriminator = PatchDiscriminator(max(8, config.width))
@@ -67,8 +59,8 @@ class Hybrid(Method[HybridConfig]):
 
     def step(self, progress: float) -> dict[str, float]:
         """One Adam step on all photos; the discriminator learns from one random patch of one photo."""
-        for group, peak in zip(self.optimizer.param_groups, self.peaks):
-            group["lr"] = peak * cosine(progress)
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.pace * group["peak"] * cosine(progress)
         with profiled("network"):
             svbrdf, views = self._material(), self._views()
         with profiled("renderer"):
@@ -123,28 +115,10 @@ class Hybrid(Method[HybridConfig]):
         fake = color.to_display(rendered[cut].float(), self.capture.transfer)  # the networks are float32
         return self.capture.photos[cut].permute(0, 3, 1, 2), fake.permute(0, 3, 1, 2)
 
-    def cut_step(self) -> None:
-        """Halve both step sizes."""
-        self.peaks = [peak / 2 for peak in self.peaks]
-
-    def state(self) -> dict[str, Tensor]:
-        """Weights and averages of the networks, the flash offset, step sizes and random numbers."""
-        state = module_state("generator", self.generator) | optimizer_state("optimizer", self.optimizer) | {
-            "offset": self.offset.detach().clone(), "random": self.random.get_state(),
-            "peaks": torch.tensor(self.peaks, dtype=torch.float64)}
-        if "adversarial" not in self.unused:
-            state |= (module_state("discriminator", self.discriminator)
-                      | optimizer_state("judge", self.adversary))
-        return state
-
-    def load_state(self, state: dict[str, Tensor]) -> None:
-        """Go on from a saved state."""
-        load_module_state("generator", self.generator, state)
-        load_optimizer_state("optimizer", self.optimizer, state)
-        with torch.no_grad():
-            self.offset.copy_(state["offset"])
-        self.random.set_state(state["random"])
-        self.peaks = state["peaks"].tolist()
-        if "adversarial" not in self.unused:
-            load_module_state("discriminator", self.discriminator, state)
-            load_optimizer_state("judge", self.adversary, state)
+    @property
+    def parts(self) -> dict[str, Held]:
+        """The networks, the flash offset, and random numbers."""
+        plays: dict[str, Held] = {} if "adversarial" in self.unused else {
+            "discriminator": self.discriminator, "judge": self.adversary}
+        return {"generator": self.generator, "optimizer": self.optimizer, "offset": self.offset,
+                "random": self.random, **plays}

@@ -1,7 +1,5 @@
 """The networks: the paper's two-stream generator and patch discriminator, and the all-photos generator."""
 
-from __future__ import annotations
-
 import contextlib
 import functools
 from collections.abc import Iterator
@@ -41,13 +39,8 @@ class TwoStreamGenerator(nn.Module):
     Encoder: 5 convolutions (three of them halve the size). Decoder ``normal_roughness``: 1 convolution and 3
     deconvolutions; decoder ``diffuse_specular``: 3 deconvolutions. All but the last are followed by instance
     norm and leaky ReLU; the last by Tanh, which is taken in :mod:`.gan`, where a start may be added before
-    it.
-
-    Args:
-        streams: which maps come out of which decoder, with how many channels; one without maps is not built.
-        width: channels of the first convolution (64 in full size).
-        change: whether the last layers begin at zero, because what they put out is a change to a start
-            (ours).
+    it. A decoder without maps is not built. With ``change`` the last layers begin at zero, because what they
+    put out is a change to a start (ours).
     """
 
     def __init__(self, streams: Streams = STREAMS["roughconductor"], width: int = 64,
@@ -95,12 +88,9 @@ class TwoStreamGenerator(nn.Module):
 class PatchDiscriminator(nn.Module):
     """The paper's discriminator (III.D): 5 convolutions, four with instance norm and leaky ReLU.
 
-    Its Sigmoid is part of the losses (:func:`mitsvbrdf.fit.losses.discriminator`).
-
-    Args:
-        width: channels of the first convolution.
-        inputs: channels it sees: a picture, and what else it is told.
-        level: no norm after the first convolution (ours): instance norm takes out how bright a picture is.
+    Its Sigmoid is part of the losses (:func:`mitsvbrdf.fit.losses.discriminator`). It sees a picture, and
+    what else it is told. ``level``: no norm after the first convolution (ours), as instance norm takes out
+    how bright a picture is.
     """
 
     def __init__(self, width: int = 64, inputs: int = 3, level: bool = False) -> None:
@@ -112,11 +102,9 @@ class PatchDiscriminator(nn.Module):
             block(nn.Conv2d(4 * w, 8 * w, 3, padding=1)), nn.Conv2d(8 * w, 1, 3, padding=1)])
 
     def activations(self, image: Tensor, told: Tensor | None = None) -> list[Tensor]:
-        """What each layer puts out; the last are the logits of the patches.
+        """What each layer puts out of display values N x 3 x R x R, and channels N x C x R x R as they are.
 
-        Args:
-            image: N x 3 x R x R in display values.
-            told: further channels N x C x R x R, as they are.
+        The last are the logits of the patches.
         """
         x = pad_to_multiple(image * 2 - 1 if told is None else torch.cat((image * 2 - 1, told), dim=1), 16)
         found = []
@@ -137,14 +125,8 @@ class PatchDiscriminator(nn.Module):
 class AllPhotosGenerator(nn.Module):
     """The hybrid's generator: an encoder over all photos, two decoders with skips, a change to a start.
 
-    The maps are ``start + change`` before Tanh; the last layers begin at zero, so training begins at the
-    start.
-
-    Args:
-        inputs: channels of the conditioning image.
-        streams: which maps come out of which decoder, with how many channels; one without maps is not built.
-        width: channels of the finest level.
-        change: whether the last layers begin at zero, because what they put out is a change to a start.
+    The maps are ``start + change`` before Tanh; the last layers begin at zero if ``change``, so that training
+    begins at the start. ``inputs`` are the channels of the condition, ``width`` those of the finest level.
     """
 
     def __init__(self, inputs: int, streams: Streams = STREAMS["roughconductor"], width: int = 16,

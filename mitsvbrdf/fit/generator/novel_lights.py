@@ -5,8 +5,6 @@ distances and exposure at a shifted place equal those of the photo at the origin
 rendering and a photo can therefore be compared, although they show different pieces of the material.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch
@@ -21,21 +19,13 @@ JITTER = 0.12  # standard deviation of the middle of a crop around the highlight
 
 @dataclass(frozen=True)
 class NovelLight:
-    """A photo's camera and light carried over the patch, and where to compare.
+    """A photo's camera and light carried over the patch, and where to compare."""
 
-    Args:
-        photo: row of the photo.
-        down: texels by which camera and light are carried down.
-        right: the same to the right.
-        row: first row of the crop under the novel light; in the photo it is ``row - down``.
-        column: first column; in the photo it is ``column - right``.
-    """
-
-    photo: int
-    down: int
-    right: int
-    row: int
-    column: int
+    photo: int  # its row
+    down: int  # texels by which camera and light are carried down
+    right: int  # the same to the right
+    row: int  # first row of the crop under the novel light; in the photo it is ``row - down``
+    column: int  # first column; in the photo it is ``column - right``
 
     def under_it(self, picture: Tensor, side: int) -> Tensor:
         """The crop of a picture under the novel light, H x W x C."""
@@ -48,14 +38,9 @@ class NovelLight:
 
 
 def draw(views: Views, albedo: Tensor, side: int, tries: int, random: torch.Generator) -> NovelLight:
-    """A light at random above the rectangle of the cameras, and a crop near its highlight.
+    """A light at random above the rectangle of the cameras, and a crop near its highlight, of so many texels.
 
-    Args:
-        views: of the photos.
-        albedo: R x R x 3, in display values; tells how alike two pieces of the material look.
-        side: of the crop, texels.
-        tries: how many are drawn; the one is taken whose two crops look most alike.
-        random: where all is drawn from.
+    Of those tried, the one is taken whose two crops look most alike by the albedo, R x R x 3 display values.
     """
     resolution, sides = albedo.shape[0], views.in_patch_sides()
     camera, middle = sides.camera[:, :2], (sides.camera + sides.light)[:, :2] / 2

@@ -1,8 +1,6 @@
 """What the discriminator compares: photos or blends of two (III.F), and the same of renderings."""
 
-from __future__ import annotations
-
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -10,47 +8,28 @@ from torch import Tensor
 from ... import color
 from ...capture import Capture
 from ...color import CLIPPED
-from ...views import Views, geometry
-
-Window = tuple[int, int, int]  # top, left and side of a crop, in texels
+from ...views import geometry
 
 
 @dataclass(frozen=True)
 class Pictures:
-    """Photos or blends, and how renderings of their views become pictures to compare with them.
+    """Photos or blends, and how renderings of their views become pictures to compare with them."""
 
-    Args:
-        shown: the pictures, P x 3 x R x R in display values.
-        angles: where highlights would lie on a flat patch, P x 2 x R x R: ten times how far the half vector's
-            cosine is from 1, and its sine.
-        index: numbers of the K photos in the capture.
-        weights: P x K, how much of each photo is in each picture, in linear light.
-        limits: least and greatest radiance of renderings, K x R x R x 3 each: 1 at most where each photo is
-            clipped, and exactly the photo's where that is masked.
-        window: the crop of the photos that is shown.
-        transfer: of the photos.
-    """
-
-    shown: Tensor
-    angles: Tensor
-    index: Tensor
-    weights: Tensor
-    limits: tuple[Tensor, Tensor]
-    window: Window
-    transfer: color.Transfer
+    shown: Tensor  # the pictures, P x 3 x R x R in display values
+    # where highlights would lie on a flat patch: ten times 1 - the half vector's cosine, and its sine
+    angles: Tensor  # P x 2 x R x R
+    index: Tensor  # numbers of the K photos in the capture
+    weights: Tensor  # P x K, how much of each photo is in each picture, in linear light
+    # least and greatest radiance of renderings: 1 at most where a photo is clipped, the photo's where masked
+    limits: tuple[Tensor, Tensor]  # K x R x R x 3 each
+    transfer: color.Transfer  # of the photos
 
     def of(self, rendered: Tensor) -> Tensor:
-        """The same pictures of renderings of the views ``index``.
+        """The same pictures of renderings of the views ``index``, linear K x R x R x 3, unclamped.
 
         Each view is clipped and masked as its photo was before it is blended, so that photos and renderings
-        show the same physics (Bora 2018, AmbientGAN).
-
-        Args:
-            rendered: linear radiance K x R x R x 3, unclamped.
-
-        Returns:
-            P x 3 x R x R in display values, above 1 where a rendering is too bright and its photo is not
-            clipped.
+        show the same physics (Bora 2018, AmbientGAN). Display values P x 3 x R x R are above 1 where a
+        rendering is too bright and its photo is not clipped.
         """
         least, greatest = self.limits
         seen, bound = rendered.clamp(least, greatest), greatest < torch.inf
@@ -60,16 +39,10 @@ class Pictures:
 
 
 class PictureSource:
-    """Draws pictures from a capture.
+    """Draws pictures from a capture; ``clipping``: renderings are clipped where the photo is, only there."""
 
-    Args:
-        capture: photos and views.
-        clipping: whether renderings are clipped where the photo is, and only there.
-        crop: side of random crops, in texels; 0 takes the whole.
-    """
-
-    def __init__(self, capture: Capture, clipping: bool, crop: int = 0) -> None:
-        self.capture, self.crop = capture, crop
+    def __init__(self, capture: Capture, clipping: bool) -> None:
+        self.capture = capture
         self.linear = color.decode(capture.photos, capture.transfer)
         half = geometry(capture.views, capture.resolution)[1]
         self.angles = torch.stack((10 * (1 - half[..., 2]), half[..., :2].norm(dim=-1)), dim=1)
@@ -92,44 +65,18 @@ class PictureSource:
             for share in shares:
                 mixed[row, len(index)] = share
                 index.append(int(order[len(index)]))
-        chosen = torch.tensor(index)
-        return self._cut(chosen, mixed[:, :len(index)].contiguous(), self._window(random))
+        return self._of(torch.tensor(index), mixed[:, :len(index)].contiguous())
 
     def whole(self, photo: int = 0) -> Pictures:
         """One photo, whole."""
-        return self._cut(torch.tensor([photo]), torch.ones(1, 1), (0, 0, self.capture.resolution))
+        return self._of(torch.tensor([photo]), torch.ones(1, 1))
 
-    def _cut(self, index: Tensor, weights: Tensor, window: Window) -> Pictures:
-        top, left, side = window
-        rows, columns = slice(top, top + side), slice(left, left + side)
-        angles = torch.einsum("pk,kcij->pcij", weights, self.angles[index][..., rows, columns])
-        shown = _displayed(self.linear[index, rows, columns], weights, self.capture.transfer)
-        least, greatest = (limit[index, rows, columns] for limit in self.limits)
-        return Pictures(shown, angles, index, weights, (least, greatest), window, self.capture.transfer)
-
-    def _window(self, random: torch.Generator) -> Window:
-        whole = self.capture.resolution
-        if not 0 < self.crop < whole:
-            return 0, 0, whole
-        top, left = torch.randint(whole - self.crop + 1, (2,), generator=random).tolist()
-        return top, left, self.crop
+    def _of(self, index: Tensor, weights: Tensor) -> Pictures:
+        angles = torch.einsum("pk,kcij->pcij", weights, self.angles[index])
+        shown = _displayed(self.linear[index], weights, self.capture.transfer)
+        least, greatest = (limit[index] for limit in self.limits)
+        return Pictures(shown, angles, index, weights, (least, greatest), self.capture.transfer)
 
 
 def _displayed(linear: Tensor, weights: Tensor, transfer: color.Transfer) -> Tensor:
     return color.encode(torch.einsum("pk,kijc->pcij", weights, linear), transfer)
-
-
-def seen_through(window: Window, views: Views, resolution: int) -> Views:
-    """Views of a crop of the patch: around its middle, with its side as the size.
-
-    Args:
-        window: the crop, in texels.
-        views: of the whole patch.
-        resolution: texels along its side.
-    """
-    top, left, side = window
-    if side == resolution:
-        return views
-    middle = torch.tensor([(left + side / 2) / resolution - 0.5, 0.5 - (top + side / 2) / resolution, 0.0])
-    shift = middle.to(views.camera) * views.size
-    return replace(views.carried(-shift), size=views.size * side / resolution)
