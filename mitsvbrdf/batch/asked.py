@@ -1,7 +1,4 @@
-"""What is asked for of each capture, the identity of its result, and what is left to do of it all.
-
-What lies in the library already is checked and skipped.
-"""
+"""What is asked for of each capture, the identity of its result, and what is left to do of it all."""
 
 import hashlib
 import json
@@ -156,7 +153,7 @@ def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
         if before and before.state == "failed" and not retry_failed:
             stock.failed += 1
         else:
-            library.wants(material)
+            library.materials[folder] = material
             stock.work.append(material)
     return stock
 

@@ -1,7 +1,4 @@
-"""The captures of a batch: named by folders, URLs and lists, each with its own options.
-
-Raw photos become a capture before they are fitted.
-"""
+"""The captures of a batch: named by folders, URLs and lists, each with its own options."""
 
 import contextlib
 import os
@@ -44,10 +41,8 @@ def told_with(where: str) -> Iterator[None]:
 def captures(names: Sequence[str]) -> list[Entry]:
     """The captures that names stand for, in their order.
 
-    Args:
-        names: each a capture (a folder, its JSON file, or a URL), a folder of captures, or a list: a text
-            file with one of these a line, options behind it, ``#`` before a remark. A library among captures
-            is passed over.
+    Each is a capture (a folder, its JSON file, or a URL), a folder of captures, or a list: a text file with
+    one of these a line, options behind it, ``#`` before a remark. A library among captures is passed over.
 
     Raises:
         CaptureError: a name stands for nothing, or all of them for no capture.

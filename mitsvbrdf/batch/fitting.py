@@ -46,11 +46,7 @@ def fit_task(task: dict) -> Iterator[dict]:
     First comes who fits (``host``, ``version``, ``token`` of the library as seen here), once the worker is
     warm; then what came of it: ``state`` (done, failed, or full where no space is left), ``reason``, and
     ``log``, the tail of what the fit printed. A worker that sees another library, or has another version,
-    does not fit.
-
-    Args:
-        task: ``library``, ``token``, ``version``, ``material`` (as JSON holds it), ``attempt`` (its
-            name), ``threads``, ``memory`` in GiB or None.
+    does not fit. The task is what :meth:`.run.Batch._hand_out` tells.
     """
     results = ResultStore(task["library"])
     _warm(task["threads"])
@@ -92,11 +88,7 @@ def _outcome(results: ResultStore, material: Material, attempt: str) -> dict:
 
 
 def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
-    """Fit a capture and write the result, its page where wanted, and its preview; gives its row without
-    seconds.
-
-    ``asked`` has ``config``, ``options``, ``pages`` and ``sheet``, as ``Asked.record`` has them.
-    """
+    """Fit a capture as asked (``Asked.record``) and write the result, pages and preview; its row."""
     from ..capture import read_capture
     from ..fit import fit_svbrdf
     from ..fit.generator.detail import with_detail
@@ -134,19 +126,18 @@ def _row(folder: Path) -> Row:
 def write_preview(path: Path, svbrdf: SVBRDF, shots: Capture) -> None:
     """Write a JPEG of the fit as the first photo shows the material."""
     import cv2
-    import numpy as np
     import torch
 
     from .. import color
     from ..io.files import write_bytes
     from ..render import make_renderer
+    from ..report.pictures import encoded
 
     with torch.no_grad():
         radiance = make_renderer("analytic").render(svbrdf.resized(min(SIDE, svbrdf.resolution)),
                                                     shots.views.pick([0]))[0]
-    pixels = np.rint(color.to_display(radiance, shots.transfer).numpy()[..., ::-1] * 255).clip(0, 255)
-    write_bytes(path, cv2.imencode(".jpg", np.ascontiguousarray(pixels.astype(np.uint8)),
-                                   [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1].tobytes())
+    write_bytes(path, encoded(color.to_display(radiance, shots.transfer), "jpeg", cv2.IMWRITE_JPEG_QUALITY,
+                              QUALITY))
 
 
 def now() -> str:
@@ -219,4 +210,3 @@ def _memory_limit(gib: float | None) -> Iterator[None]:
         yield
     finally:
         done.set()
-

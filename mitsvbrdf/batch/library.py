@@ -30,10 +30,6 @@ class Library:
         self._failed = set(results.store.listed(FAILED)[1])
         self.running = set[str]()  # folders of what is fitted now
 
-    def wants(self, material: Material) -> None:
-        """A material waits to be fitted."""
-        self.materials[material.folder] = material
-
     def done(self, result: Material) -> None:
         """A result lies in the library."""
         if result.folder in self._failed:

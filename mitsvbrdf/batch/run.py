@@ -34,10 +34,6 @@ class Batch:
     The largest captures go first, so that none is waited for alone at the end. A fit that crashed, or took
     more time or memory than allowed, is tried again after all others; one that was refused is not, for it
     would be refused again. What was lost with its node, or before the fit began, is handed out again at once.
-
-    Args:
-        token: that of the library, which each node must see.
-        tell: told a line about each end.
     """
 
     def __init__(self, library: Library, work: Sequence[Material], settings: BatchSettings, token: str,
@@ -55,11 +51,7 @@ class Batch:
     def run(self, tasks: RayTasks) -> bool:
         """Until all is done, or Ctrl-C: the first one waits for what runs, the second one does not.
 
-        Returns:
-            Whether it was interrupted.
-
-        Raises:
-            BackendError: Ray ended, or a node does not fit this command.
+        Gives whether it was interrupted. BackendError: Ray ended, or a node does not fit this command.
         """
         told = False
         try:

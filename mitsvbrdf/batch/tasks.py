@@ -98,10 +98,7 @@ class RayTasks:
         """What tasks yielded since the last call, by their names; waits so long for the first.
 
         A task whose worker is gone yields a ``state`` (crashed, cancelled, memory, or lost with its node) and
-        a ``reason``. A task ends with its first ``state``.
-
-        Raises:
-            BackendError: Ray itself ended.
+        a ``reason``. A task ends with its first ``state``. BackendError: Ray itself ended.
         """
         import ray
 

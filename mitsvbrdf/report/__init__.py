@@ -1,9 +1,4 @@
-"""Every page of the package: of a fit, a capture, a comparison, a cross-check; and values in notebooks.
-
-A page is one HTML file that opens from disk and asks nothing of a network. It computes nothing: it shows
-numbers that stand in a JSON, and pictures of tensors. ``page`` fills a template; ``base.html`` is the common
-look.
-"""
+"""Every page of the package: of a fit, a capture, a comparison, a cross-check; and values in notebooks."""
 
 import sys
 from typing import Any

@@ -9,20 +9,12 @@ import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatter
+from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from ..io import files
 
 # Lines on white differ in lightness, too. A bound must not be crossed.
 FIRST, SECOND, FAINT, GRID, BOUND = "#c8501e", "#2a6fb0", "#9aa0a8", "#e3e5e8", "#b3261e"
-
-
-class PlainNumbers(LogFormatter):
-    """Numbers as 0.02, at the ticks that matplotlib would label."""
-
-    def __call__(self, x: float, pos: int | None = None) -> str:
-        """The tick at x; empty where matplotlib labels none."""
-        return f"{x:g}" if super().__call__(x, pos) else ""
 
 
 def svg(drawing: Figure) -> str:
@@ -60,10 +52,7 @@ def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: f
         ends = np.array([pick(x for line in lines for x, _ in line) for pick in (min, max)])
         axes.plot(ends, e * np.sqrt(t / ends), color=FAINT, linewidth=1, linestyle=":",
                   label="1 / \N{SQUARE ROOT}seconds")
-        axes.set(xscale="log", yscale="log")  # which matplotlib refuses without a point
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_formatter(PlainNumbers())
-            axis.set_minor_formatter(PlainNumbers())
+        logarithmic(axes)  # which matplotlib refuses without a point
     if target:
         axes.axhline(target, color=SECOND, linewidth=1, linestyle="--", label=f"target {target:g}")
     axes.set_xlabel("seconds", fontsize=8)
@@ -72,6 +61,15 @@ def error_curve(path: str | Path, curves: Sequence[Sequence[Mapping]], target: f
     if lines or target:
         axes.legend(fontsize=7, frameon=False)
     files.write_bytes(Path(path), svg_file(figure))
+
+
+def logarithmic(axes: Axes) -> None:
+    """Make both axes logarithmic, with plain numbers such as 0.02 at their ticks."""
+    axes.set(xscale="log", yscale="log")
+    for axis, (low, high) in ((axes.xaxis, axes.get_xlim()), (axes.yaxis, axes.get_ylim())):
+        axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high / low < 100 else (1,)))
+        axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axis.set_minor_formatter(NullFormatter())
 
 
 def quiet(axes: Axes, title: str, title_size: int, label_size: int) -> None:

@@ -1,4 +1,4 @@
-"""The page of a cross-check: it shows the numbers of the record and computes none."""
+"""The page of a cross-check."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -6,11 +6,10 @@ from pathlib import Path
 import matplotlib
 import torch
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 from torch import Tensor
 
 from ..verify.crosscheck import omitted
-from .charts import BOUND, FAINT, quiet, svg
+from .charts import BOUND, FAINT, logarithmic, quiet, svg
 from .page import figure, write_page
 from .pictures import error_picture, png_uri
 
@@ -69,11 +68,8 @@ def error_against_time(record: dict) -> Figure:
     for panel, title, tolerance in zip(panels, titles, tolerances):
         line = panel.axhline(tolerance, color=BOUND, linewidth=0.8, linestyle="--")
         quiet(panel, title, 10, 8)
-        panel.set(xscale="log", yscale="log", xlabel="seconds, forward and backward")
-        for axis, (low, high) in ((panel.xaxis, panel.get_xlim()), (panel.yaxis, panel.get_ylim())):
-            axis.set_major_locator(LogLocator(subs=(1, 2, 5) if high / low < 100 else (1,)))
-            axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            axis.set_minor_formatter(NullFormatter())
+        panel.set_xlabel("seconds, forward and backward")
+        logarithmic(panel)
     line.set_label("stated tolerance")
     if not all(c["rough"] for c in record["configurations"]):
         panels[0].plot([], [], "o", color=FAINT, markerfacecolor="none", markersize=4,

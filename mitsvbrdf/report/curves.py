@@ -68,15 +68,11 @@ class _Axis:
 
     def ticks(self) -> list[tuple[float, str]]:
         """At most about eight powers of ten; finer or even steps where fewer than three lie on the axis."""
-        decades = range(math.floor(self.low), math.ceil(self.high) + 1)
-        every = math.ceil(len(decades) / 8)
-        for steps in ((1,), (1, 2, 5)):
-            values = [step * 10.0**decade for decade in decades[::every] for step in steps]
-            inside = [value for value in values if self.low <= math.log10(value) <= self.high]
-            if len(inside) > 2:
-                return [(self(value), f"{value:g}") for value in inside]
+        from matplotlib.ticker import LogLocator, MaxNLocator
+
         low, high = 10**self.low, 10**self.high
-        step = 10.0**math.floor(math.log10((high - low) / 3))
-        step *= max(factor for factor in (1, 2, 5) if factor * step <= (high - low) / 3)
-        values = [step * k for k in range(math.ceil(low / step), math.floor(high / step) + 1)]
+        for ticks in (LogLocator(numticks=9), LogLocator(subs=(1, 2, 5)), MaxNLocator(8)):
+            values = [float(value) for value in ticks.tick_values(low, high) if low <= value <= high]
+            if len(values) > 2:
+                break
         return [(self(value), f"{value:.6g}") for value in values]

@@ -155,7 +155,7 @@ def _write_page(found: Fit, record: dict, into: Path) -> None:
     write_page(into / "report.html", "report/report.html", fit=fit, record=record,
                title=f"{material_name(found)}: recovered material",
                maps=_maps(found), front=header(found, record["quick"]), viewer=viewer_html(found.svbrdf),
-               photos=[_photo(photo, side, found, into, found.path) for photo in record["photos"]],
+               photos=[_photo(photo, side, into, found.path) for photo in record["photos"]],
                curves=error_and_losses(fit["trace"]),
                ramp=picture_uri(magma(torch.linspace(0, 1, 256).expand(8, 256))), unknown=UNKNOWN,
                titles=TITLES, detail=write_detail_page(found, into), scalar=_scalar,
@@ -181,19 +181,9 @@ def _map_uri(name: str, value: Tensor) -> str:
     return picture_uri(at_most(value, LARGEST_MAP, partial(shown_map, name)), EXACT_MAP)
 
 
-def _photo(photo: dict, side: int, found: Fit, *folders: Path) -> dict:
+def _photo(photo: dict, side: int, *folders: Path) -> dict:
     """Pictures of a photo, its re-rendering, and four times their difference, as far as files exist."""
-    memory = {}
-    if "rerendered" in found.known and photo["name"] in found.names:
-        row, transfer = found.names.index(photo["name"]), found.record["capture"]["transfer"]
-        shown = found.known["shots"].photo(row), color.to_display(found.rerendered[row], transfer)
-        # as their 8-bit files show them
-        memory = {name: (255 * value.clamp(0, 1).double()).round().float() / 255
-                  for name, value in zip((photo["photo"], photo["rerendered"]), shown)}
-
     def read(name: str) -> Tensor:
-        if name in memory:
-            return memory[name]
         folder = next((each for each in folders if (each / name).is_file()), folders[-1])
         return images.read_image(folder / name, MapsError)
 
@@ -223,11 +213,7 @@ DETAIL_PAGE = "detail.html"
 
 
 def write_detail_page(found: Fit, into: Path) -> str | None:
-    """Write ``detail.html`` of a fit: maps, a new light and the live viewer, all of its plausible detail.
-
-    Returns:
-        The page's name; None where the fit has none.
-    """
+    """Write ``detail.html``: maps, a new light and the viewer of plausible detail; its name, None without."""
     if found.detail is None:
         return None
     assert found.transfer is not None  # a fit's record has it

@@ -10,6 +10,7 @@ from .. import color
 from ..capture import Capture
 from ..fit.diagnose import about_views
 from ..fit.methods import method_name
+from ..fit.record import FROM
 from ..fit.result import Fit
 from ..material.maps import CHANNELS, SVBRDF, TITLES, shown_map
 from .page import figure, page_text
@@ -18,8 +19,6 @@ from .pictures import at_most, png_uri
 SHOWN = 9  # photos
 PICTURE_SIDE = 128  # pixels along a side of a picture
 NOTES_SHOWN = 10  # notes and warnings
-CALIBRATION = {"given": "as calibrated", "sheet": "from a sheet of tags",
-               "photos": "from features that the photos share", "none": "of no calibration"}
 
 Picture = tuple[str, str]  # caption and address
 
@@ -45,8 +44,8 @@ def _(capture: Capture) -> str:
     height, width = capture.photos.shape[1:3]
     name = capture.source.name if capture.source else "without a folder"
     return _html(f"Capture · {name} · {_count(len(capture))}, {width} × {height} px", [("", photos)],
-                 [f"transfer {capture.transfer}, falloff {capture.views.falloff}; positions in patch sides, "
-                  f"{CALIBRATION[capture.calibration]}"], capture.notes)
+                 [f"transfer {capture.transfer}, falloff {capture.views.falloff}; positions in patch sides",
+                  FROM[capture.calibration]], capture.notes)
 
 
 @html_of.register

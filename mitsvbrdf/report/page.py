@@ -24,9 +24,7 @@ def write_page(path: str | Path, template: str, **context: object) -> None:
     It is named by its path inside the package, such as ``report/report.html``. Text of the context is
     escaped.
     """
-    text = page_text(template, **context)
-    with files.atomic_write(Path(path)) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    files.write_bytes(Path(path), page_text(template, **context).encode())
 
 
 def page_text(template: str, **context: object) -> str:

@@ -40,12 +40,16 @@ def picture_uri(display: Tensor, exact_up_to: int = 64 * 1024) -> str:
 
 
 def _uri(display: Tensor, kind: str, *options: int) -> str:
+    return f"data:image/{kind};base64,{base64.b64encode(encoded(display, kind, *options)).decode()}"
+
+
+def encoded(display: Tensor, kind: str, *options: int) -> bytes:
+    """An image file of this kind, with options of OpenCV, of display values H x W x 3 or x 1."""
     import cv2
 
     levels = (color.clip(display.detach().float()) * 255).round().to(torch.uint8)
     pixels = levels.expand(*levels.shape[:2], 3).flip(-1).contiguous().numpy()  # OpenCV writes BGR
-    data = cv2.imencode(f".{kind}", pixels, options)[1].tobytes()
-    return f"data:image/{kind};base64,{base64.b64encode(data).decode()}"
+    return cv2.imencode(f".{kind}", pixels, options)[1].tobytes()
 
 
 def at_most(picture: Tensor, side: int, shown: Callable[[Tensor], Tensor] = Tensor.detach) -> Tensor:
@@ -69,12 +73,9 @@ def shrunk(picture: Tensor, side: int) -> tuple[int, int]:
 
 
 def error_picture(error: Tensor, high: float, low: float | None = None) -> Tensor:
-    """Sizes of an error in the colours of matplotlib's ``magma``, log scale, H x W x 3 display values.
+    """Sizes of an error, H x W, in the colours of ``magma``, log scale, as H x W x 3 display values.
 
-    Args:
-        error: H x W, not negative.
-        high: the value shown brightest.
-        low: the value shown black. Default: ``high`` / 1e4.
+    ``low`` is shown black, ``high`` brightest. Default: ``high`` / 1e4.
     """
     low = low or high / 1e4
     share = (torch.log(error.double().clamp_min(1e-300) / low) / math.log(high / low)).clamp(0, 1)

@@ -37,12 +37,12 @@ def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
     about = {"maps": [entry for entry, _ in maps], "bsdf": svbrdf.bsdf, "resolution": svbrdf.resolution,
              "f0_range": F0_RANGE, "dielectric_f0": DIELECTRIC_F0, "min_alpha": MIN_ALPHA[svbrdf.bsdf],
              "titles": {name: TITLES[name] for name in names}}
-    planes = b"".join(plane for _, each in maps for plane in each)
+    planes = b"".join(each for _, each in maps)
     payload = base64.b64encode(zlib.compress(planes, 9)).decode()
     return page_text("report/viewer.html", about=about, payload=payload)
 
 
-def encode(name: str, value: np.ndarray, coding: str) -> tuple[dict, list[bytes]]:
+def encode(name: str, value: np.ndarray, coding: str) -> tuple[dict, bytes]:
     """A picture, H x W x C, as bytes, and what a reader must know to decode it.
 
     Each channel holds integers q in [0, top] that stand for x = low + q (high - low) / top, with its own low
@@ -62,10 +62,8 @@ def encode(name: str, value: np.ndarray, coding: str) -> tuple[dict, list[bytes]
         value = np.sqrt(value)
     low, high = value.min((0, 1)), value.max((0, 1))
     span, top = np.where(high > low, high - low, 1), TOP_LEVELS[coding]
-    levels = np.rint((value - low) / span * top).astype(np.uint16)
-    planes = []
-    for channel in np.moveaxis(levels, -1, 0):
-        planes += [(channel >> 8).astype(np.uint8).tobytes(), (channel & 255).astype(np.uint8).tobytes()]
+    levels = np.rint((value - low) / span * top).astype(">u2")  # high byte first
+    planes = np.ascontiguousarray(levels)[..., None].view(np.uint8).transpose(2, 3, 0, 1).tobytes()
     height, width = value.shape[:2]
     return {"name": name, "coding": coding, "top": top, "height": height, "width": width,
             "low": low.tolist(), "high": high.tolist()}, planes
