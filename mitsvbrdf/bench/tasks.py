@@ -157,13 +157,8 @@ def data_folder(folder: Path | None = None) -> Path | None:
 def novel_views(views: Views) -> Views:
     """Views from straight above with lights far off the lens, as no photo with a flash has them.
 
-    Four lights stand 25 degrees from the upright, and four 50 degrees, turned by half a step.
-
-    Args:
-        views: those of the photos; their mean height is the distance of camera and lights.
-
-    Returns:
-        Views in patch sides; an upright white diffuse texel below such a light has radiance 1.
+    Four lights stand 25 degrees from the upright, and four 50 degrees, turned by half a step, as far off as
+    the photos' cameras stand high in the mean. An upright white diffuse texel below has radiance 1.
     """
     height = float(views.in_patch_sides().camera[:, 2].mean())
     lights = []

@@ -127,14 +127,6 @@ def white_luminance(image: Tensor) -> float:
     return float(torch.trapezoid(rows * torch.cos(theta) * torch.sin(theta), theta)) * 2
 
 
-def directions(height: int, width: int) -> Tensor:
-    """Unit vectors that the pixels of an environment's picture stand for: H x W x 3, float64."""
-    theta = torch.linspace(0, math.pi, height, dtype=torch.float64)[:, None]
-    phi = ((torch.arange(width, dtype=torch.float64) + 0.5) / width - 0.5)[None] * 2 * math.pi
-    return torch.stack(torch.broadcast_tensors(theta.sin() * phi.sin(), theta.sin() * phi.cos(), theta.cos()),
-                       dim=-1)
-
-
 # Where a softbox hangs, how wide and high it is at distance 1 (half sides), its radiance and colour.
 SOFTBOXES = (((-0.62, -0.75, 0.72), (0.34, 0.34), 26.0, (1.0, 0.97, 0.93)),  # key: left, behind the camera
              ((1.0, -0.25, 0.30), (0.14, 0.55), 9.0, (0.92, 0.96, 1.0)),     # fill: a strip at the right
@@ -144,8 +136,10 @@ SOFTBOXES = (((-0.62, -0.75, 0.72), (0.34, 0.34), 26.0, (1.0, 0.97, 0.93)),  # k
 
 def studio(height: int = 256) -> Tensor:
     """A dark room with a lit wall ahead and three softboxes: H x 2 H x 3, linear, float64, not scaled yet."""
-    d = directions(height, 2 * height)
-    x, y, z = d.unbind(-1)
+    theta = torch.linspace(0, math.pi, height, dtype=torch.float64)[:, None]
+    phi = ((torch.arange(2 * height, dtype=torch.float64) + 0.5) / (2 * height) - 0.5)[None] * 2 * math.pi
+    x, y, z = torch.broadcast_tensors(theta.sin() * phi.sin(), theta.sin() * phi.cos(), theta.cos())
+    d = torch.stack((x, y, z), dim=-1)
     room = 0.10 + 0.25 * torch.sigmoid(5 * z)
     wall = 0.5 * torch.exp(-4 * (x**2 + (z - 0.05) ** 2)) * (y > 0)
     image = (room + wall)[..., None].expand(*d.shape)

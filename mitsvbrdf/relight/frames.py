@@ -140,10 +140,8 @@ def render_stages(mi: ModuleType, stages: Sequence[Stage], stop: Stop, record: R
             images.write_exr(folder / frame_file(stage, number), rendered.image)
             if stage.frames == 1:
                 images.write_png(folder / f"{stage.name}.png", shown(rendered.image, exposure))
-            kept["frames"].append({
-                "frame": number, "file": frame_file(stage, number), "samples": rendered.samples,
-                "seconds": rendered.seconds, "error": rendered.error, "stopped": rendered.stopped,
-                "curve": list(rendered.curve)})
+            told = {name: value for name, value in vars(rendered).items() if name != "image"}
+            kept["frames"].append({"frame": number, "file": frame_file(stage, number), **told})
             record.write(folder)
             if rendered.stopped == INTERRUPTED:
                 break

@@ -65,13 +65,11 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
 
     Args:
         mi: the Mitsuba module, an RGB variant set.
-        preset: a key of :data:`PRESETS`.
-        environment: a key of :data:`ENVIRONMENTS`, or an .exr or .hdr file; default: what suits the preset.
+        preset: a key of :data:`PRESETS`, which has the default of environment and frames.
+        environment: a key of :data:`ENVIRONMENTS`, or an .exr or .hdr file.
         size: width and height of the film in pixels.
-        frames: how many; default: what suits the preset.
         tiling: how often the maps are repeated along a side.
-        views: of ``novel``: the first one is shown; default: the first of
-            :func:`mitsvbrdf.views.nine_view_grid`.
+        views: of ``novel``, which shows the first; default: :func:`mitsvbrdf.views.nine_view_grid`.
 
     Raises:
         ConfigError: an option that is unknown, out of range, or does not go with the preset.

@@ -1,8 +1,4 @@
-"""Simulated photos of known maps.
-
-``photograph`` renders a :class:`~mitsvbrdf.capture.Capture` at given views. ``phone`` plans the photos that a
-hand-held phone would take, ``traced`` renders them, ``photos`` develops them and writes the truth beside.
-"""
+"""Simulated photos of known maps: rectified ones, and those that a hand-held phone would take."""
 
 import torch
 
@@ -19,10 +15,7 @@ def photograph(svbrdf: SVBRDF, views: Views, renderer: Renderer, noise: float = 
                transfer: color.Transfer = "gamma2.2") -> Capture:
     """What a camera would store of a material: 8 bits, clipped, with sensor noise.
 
-    Args:
-        views: camera, light and intensity of each photo.
-        noise: standard deviation of normally distributed noise, in linear radiance.
-        transfer: how the photos encode radiance.
+    The noise is the standard deviation of normally distributed numbers, in linear radiance.
     """
     with torch.no_grad():
         radiance = renderer.render(svbrdf, views).float()

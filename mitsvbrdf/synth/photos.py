@@ -1,8 +1,4 @@
-"""Photos of a simulated phone, developed: metered, vignetted, noisy, 8 bits; some of them spoiled on purpose.
-
-:func:`handheld_photos` takes them one at a time with the truth about them; both are written beside each other
-for tests.
-"""
+"""Photos of a simulated phone, developed: metered, vignetted, noisy, 8 bits; some are spoiled on purpose."""
 
 import io
 import math
@@ -45,20 +41,12 @@ def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...
                                                           dict[str, Any]]:
     """Photos of a material, each taken when it is asked for, and the truth about them.
 
-    Args:
-        svbrdf: the material, over the whole sample.
-        renderer: :class:`mitsvbrdf.synth.traced.HandheldRenderer`, or what makes one like it.
-        spoil: extra photos that something is odd about.
-
-    Returns:
-        The photos, H x W x 3 display values (sRGB, 8 bits), and what ``truth.json`` says: ``rig`` (see
-        :func:`mitsvbrdf.capture.rig.rig_to_json`, of all photos, in cm), ``intensity`` of the flash (a white
-        diffuse texel has the radiance I cos / (pi d^2), d in cm, where radiance 1 is display value 1),
-        ``falloff``, ``transfer``, ``sample_cm``, ``sheet_cm``, ``depth_cm``, ``spoiled`` (kind by name of the
-        photo), and the ``phone``.
-
-    Raises:
-        ConfigError: an option out of range.
+    The maps cover the whole sample. ``renderer`` makes a :class:`mitsvbrdf.synth.traced.HandheldRenderer`.
+    Photos are H x W x 3 display values (sRGB, 8 bits), odd in the ways of ``spoil`` at the end. The truth is
+    what ``truth.json`` says: ``rig`` (see :func:`mitsvbrdf.capture.rig.rig_to_json`, of all photos, in cm),
+    ``intensity`` of the flash (a white diffuse texel has the radiance I cos / (pi d^2), d in cm, where
+    radiance 1 is display value 1), ``falloff``, ``transfer``, ``sample_cm``, ``sheet_cm``, ``depth_cm``,
+    ``spoiled`` (kind by name of the photo), and the ``phone``. ConfigError: an option out of range.
     """
     phone.check()
     plan, lens = shots(phone, spoil), phone.lens

@@ -45,14 +45,11 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
     Args:
         svbrdf_by_name: materials, float32; one of the other BSDF is converted by
             :func:`mitsvbrdf.material.corner_cases.as_bsdf`.
-        bsdfs: the BSDFs to render each material with.
-        renderers: from :func:`mitsvbrdf.render.make_renderer`.
         repeats: timed passes of each configuration, in turn with all others.
         names: of the views; default: 00, 01, ...
         transfer: how display values and FLIP encode light.
         error_maps: filled with the relative error of each configuration's worst view, R x R, largest channel,
             by (material, BSDF, renderer).
-        command: options of the command line, kept in the record.
 
     Returns:
         A record for JSON, without NaN; docs/evaluation.md explains each field.

@@ -1,8 +1,4 @@
-"""Where the renderers stop being right: sweeps to the ends of every range against float64.
-
-:mod:`.sweeps` lists the configurations, :mod:`.conditioning` has Jacobians, :mod:`.run` the verdicts and the
-cuts of the model. docs/results/stability.md shows a run.
-"""
+"""Where the renderers stop being right: sweeps to the ends of every range against float64."""
 
 from .run import stability
 from .sweeps import SWEEPS

@@ -49,11 +49,9 @@ def tangents(normal: Tensor) -> Tensor:
 
 
 def condition(jacobians: Tensor) -> dict[str, float | None]:
-    """Condition numbers over texels of Jacobians T x M x P: largest by smallest singular value.
+    """Condition numbers over texels of Jacobians T x M x P: ``median`` and ``worst``, None for infinite.
 
-    Returns:
-        ``median`` and ``worst``, None for infinite (fewer equations than unknowns, or nothing seen of one of
-        them), and the median ``rank`` and the number of ``unknowns``.
+    With the median ``rank`` and the number of ``unknowns``.
     """
     unknowns = jacobians.shape[2]
     values = torch.zeros(len(jacobians), unknowns, dtype=jacobians.dtype)
