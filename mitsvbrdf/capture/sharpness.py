@@ -1,7 +1,5 @@
 """How many pixels of photos carry detail: sampling tells the most, and sharpness how many of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import combinations
 

@@ -84,6 +84,8 @@ class GanConfig(FitConfig):
     """Gradient steps of the normal/roughness decoder per step of the diffuse/specular decoder (III.F)."""
     pictures: int = AS_PRESET
     """Photos or blends compared in one step."""
+    crop: int = 0
+    """Side of random training crops in texels (stationary mode of Zhao 2020). 0: whole photos."""
     discriminator_rate: float = AS_PRESET
     """Adam's step size of the discriminator."""
     game: Game = AS_PRESET
@@ -135,7 +137,7 @@ class GanConfig(FitConfig):
     @property
     def _of_guess(self) -> list[str]:
         """Settings given that only the game from the guess has."""
-        usual = PRESETS[self.preset] | {"precision": "auto"}
+        usual = PRESETS[self.preset] | {"crop": 0, "precision": "auto"}
         return [name for name, value in usual.items()
                 if name not in OF_SOLVED and getattr(self, name) not in (AS_PRESET, value)]
 
@@ -164,6 +166,8 @@ class GanConfig(FitConfig):
         if self.head_start > 1:
             raise ConfigError("a head start of 0 to 1", str(self.head_start),
                               "0.1 is a tenth of it; 0 gives none")
+        if 0 < self.crop < 16:
+            raise ConfigError("crop of 16 texels or more, or 0", str(self.crop), "0 trains on whole pictures")
 
     @property
     def _one_picture_first(self) -> bool:

@@ -107,6 +107,19 @@ def test_resume_goes_on_and_needs_a_checkpoint(shots, tmp_path, capsys):
     assert all(torch.equal(a[name], b[name]) for name in a.maps)
 
 
+@pytest.mark.parametrize("generator", ["all-photos", "two-stream"])
+def test_crops_of_one_photo_are_enough(shots, tmp_path, generator):
+    # Stationary materials: patches of the one photo stand for the many; the maps are as large as the photo.
+    out = tmp_path / "out"
+    gan = ["--method", "gan", "--width", "4", "--generator", generator, "--iterations", "6"]
+    assert cli.main(["fit", str(shots), "-o", str(out), *gan, "--views", "0", "--crop", "32", "--resolution",
+                     "48"]) == 0
+    record = json.loads((out / "fit.json").read_text())
+    assert record["config"]["crop"] == 32 and list(record["per_photo"]) == ["00"]
+    maps = load_maps(out)
+    assert maps.resolution == 48 and all(bool(torch.isfinite(value).all()) for value in maps.maps.values())
+
+
 def test_an_unfinished_fit_is_not_thrown_away(shots, tmp_path, capsys):
     out = tmp_path / "out"
     assert cli.main(["fit", str(shots), "-o", str(tmp_path / "done"), *FAST]) == 0

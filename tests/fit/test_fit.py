@@ -40,7 +40,8 @@ SMALL = {"hybrid": HybridConfig(width=8), "direct": DirectConfig(), "gan": GanCo
 # or 13.
 RESUMED = {name: (config, 32, 13) for name, config in SMALL.items()} | {
     "gan, bfloat16": (GanConfig(width=4, pictures=2, precision="bfloat16"), 64, 13),
-    "gan, before it grows": (GanConfig(width=4, pictures=2), 64, 5)}
+    "gan, before it grows": (GanConfig(width=4, pictures=2), 64, 5),
+    "gan, crops": (GanConfig(width=4, crop=16, features=1.0, paired=True, precision="float32"), 32, 13)}
 
 
 def with_limits(config, **limits):
@@ -264,7 +265,7 @@ def test_presets_are_the_papers():
         assert (paper.head_start, paper.smooth, paper.adversarial) == (0, 0, 1)
         assert paper.begins == "untrained"
         assert not any((paper.decay, paper.level, paper.angles, paper.paired, paper.clipping,
-                        paper.grow, paper.features))
+                        paper.grow, paper.features, paper.crop))
     assert [(round(p.share, 9), p.photos) for p in two.phases(256)] == [(0.4, 1), (0.6, None)]
     assert GanConfig(preset="paper-one-stage", width=8).width == 8  # what is given stays
 
@@ -273,7 +274,7 @@ def test_presets_are_the_papers():
     ({"game": "rpgan"}, "relativistic"), ({"generator": "unet"}, "two-stream"),
     ({"precision": "bf16"}, "bfloat16"),
     ({"adversarial": 0.0, "features": 0.0, "diffuse": 0.0, "smooth": 0.0}, "a loss"),
-    ({"head_start": 1.5}, "head start"),
+    ({"head_start": 1.5}, "head start"), ({"crop": 4}, "crop of 16"),
     ({"normal_roughness_steps": 5}, "two-stream"), ({"pictures": 0}, "pictures > 0"),
     ({"preset": "paper-two-stage", "generator": "all-photos", "normal_roughness_steps": 1},
      "--generator two-stream"), ({"preset": "paper-two-stage", "grow": True}, "growing")])

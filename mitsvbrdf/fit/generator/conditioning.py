@@ -15,6 +15,7 @@ from ...views import Views
 from ..gan_config import GanConfig
 from ..parameters import Streams, before_tanh, to_raw
 from ..task import FitTask
+from .pictures import WHOLE, Window
 
 
 class Conditioning:
@@ -36,12 +37,12 @@ class Conditioning:
         self.carried = {name: enlarged(value, resolution) for name, value in carried.items()}
         self.condition = condition_of(self.capture, self.guess)
 
-    def units(self, change: Mapping[str, Tensor]) -> dict[str, Tensor]:
-        """Maps in (-1, 1), C x R x R: Tanh of start, what was carried, and this change before Tanh."""
+    def units(self, change: Mapping[str, Tensor], window: Window = WHOLE) -> dict[str, Tensor]:
+        """Maps in (-1, 1), C x R x R: Tanh of start, what was carried, and a crop's change before Tanh."""
         found = {}
         for name, value in change.items():
             for known in (self.start, self.carried):
-                value = value + known[name] if known else value
+                value = value + known[name][:, *window] if known else value
             found[name] = torch.tanh(value)
         return found
 

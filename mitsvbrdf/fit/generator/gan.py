@@ -35,7 +35,7 @@ from .networks import (
     is_faster_in_bfloat16,
     seeded,
 )
-from .pictures import Pictures, PictureSource
+from .pictures import Pictures, PictureSource, seen_through
 
 FIRST_STEP = 0.02  # of the step size, at the least, while it rises: no step moves nothing
 
@@ -79,7 +79,7 @@ class Gan(Method[GanConfig]):
         """A phase: a new discriminator and new optimisers; the generator's weights stay."""
         config, g = self.config, self.generator
         self.phase, self.scale = phase, self._scale(self.phases[phase], carried)
-        self.source = PictureSource(self.scale.capture, config.clipping)
+        self.source = PictureSource(self.scale.capture, config.clipping, config.crop)
         with seeded(config.seed + 1 + phase):
             inputs = 3 + 2 * config.angles + 3 * config.paired
             self.discriminator = PatchDiscriminator(config.width, inputs, config.level)
@@ -136,7 +136,7 @@ class Gan(Method[GanConfig]):
             logged |= {name: float(value.detach()) for name, value in terms.items()}
         if first:
             with profiled("losses"):
-                guess = self.scale.guess
+                guess = self.scale.guess[pictures.window]
                 own: dict[str, Callable[[], Tensor]] = {"diffuse": lambda: losses.diffuse(svbrdf, guess),
                     "smooth": lambda: losses.total_variation(svbrdf, losses.edge_weights(guess), self.fixed)}
                 terms = {name: loss() for name, loss in own.items() if name not in self.unused}
@@ -156,13 +156,14 @@ class Gan(Method[GanConfig]):
             change = self._out(pictures, first)
             switch_at("network, backward", *change.values())
         with profiled("hand-over"):
-            svbrdf = from_units(self.config.bsdf, self.scale.units(change), self.scale.fixed)
+            fixed = {name: value[pictures.window] for name, value in self.scale.fixed.items()}
+            svbrdf = from_units(self.config.bsdf, self.scale.units(change, pictures.window), fixed)
             switch_at("hand-over, backward", *svbrdf.maps.values())
         return svbrdf
 
     def _out(self, pictures: Pictures, first: bool = True) -> dict[str, Tensor]:
-        """Output of the generator before Tanh."""
-        g, side = self.generator, self.scale.capture.resolution
+        """Output of the generator before Tanh, in the window of the pictures."""
+        g, side = self.generator, pictures.shown.shape[-1]
         with self._networks():
             if isinstance(g, TwoStreamGenerator):
                 if first or self.resting is None:
@@ -171,13 +172,14 @@ class Gan(Method[GanConfig]):
                         self.resting = code, g.decode(1, code, side)
                 out = g.decode(0, self.resting[0], side) | self.resting[1]
             else:
-                out = g(self.scale.condition)
+                out = g(self.scale.condition[..., *pictures.window])
         out = {name: value.float() for name, value in out.items()}
         return level(out) if self.fits_offset else out
 
     def _rendered(self, svbrdf: SVBRDF, pictures: Pictures) -> Tensor:
         with profiled("renderer"):
-            rendered = self.renderer.render(svbrdf, self._views().pick(pictures.index))
+            views = seen_through(pictures.window, self._views(), self.scale.capture.resolution)
+            rendered = self.renderer.render(svbrdf, views.pick(pictures.index))
             switch_at("renderer, backward", rendered)
         with profiled("losses"):
             fake = pictures.of(rendered.float())  # of analytic64 too: the networks are float32

@@ -1,6 +1,6 @@
 """What the discriminator compares: photos or blends of two (III.F), and the same of renderings."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -8,7 +8,10 @@ from torch import Tensor
 from ... import color
 from ...capture import Capture
 from ...color import CLIPPED
-from ...views import geometry
+from ...views import Views, geometry
+
+Window = tuple[slice, slice]  # rows and columns of a crop
+WHOLE = slice(None), slice(None)
 
 
 @dataclass(frozen=True)
@@ -22,6 +25,7 @@ class Pictures:
     weights: Tensor  # P x K, how much of each photo is in each picture, in linear light
     # least and greatest radiance of renderings: 1 at most where a photo is clipped, the photo's where masked
     limits: tuple[Tensor, Tensor]  # K x R x R x 3 each
+    window: Window  # the crop of the photos that is shown
     transfer: color.Transfer  # of the photos
 
     def of(self, rendered: Tensor) -> Tensor:
@@ -39,10 +43,13 @@ class Pictures:
 
 
 class PictureSource:
-    """Draws pictures from a capture; ``clipping``: renderings are clipped where the photo is, only there."""
+    """Draws pictures from a capture, of random crops of so many texels a side; 0 takes the whole.
 
-    def __init__(self, capture: Capture, clipping: bool) -> None:
-        self.capture = capture
+    ``clipping``: renderings are clipped where the photo is, only there.
+    """
+
+    def __init__(self, capture: Capture, clipping: bool, crop: int = 0) -> None:
+        self.capture, self.crop = capture, crop
         self.linear = color.decode(capture.photos, capture.transfer)
         half = geometry(capture.views, capture.resolution)[1]
         self.angles = torch.stack((10 * (1 - half[..., 2]), half[..., :2].norm(dim=-1)), dim=1)
@@ -65,18 +72,35 @@ class PictureSource:
             for share in shares:
                 mixed[row, len(index)] = share
                 index.append(int(order[len(index)]))
-        return self._of(torch.tensor(index), mixed[:, :len(index)].contiguous())
+        return self._of(torch.tensor(index), mixed[:, :len(index)].contiguous(), self._window(random))
 
     def whole(self, photo: int = 0) -> Pictures:
         """One photo, whole."""
-        return self._of(torch.tensor([photo]), torch.ones(1, 1))
+        return self._of(torch.tensor([photo]), torch.ones(1, 1), WHOLE)
 
-    def _of(self, index: Tensor, weights: Tensor) -> Pictures:
-        angles = torch.einsum("pk,kcij->pcij", weights, self.angles[index])
-        shown = _displayed(self.linear[index], weights, self.capture.transfer)
-        least, greatest = (limit[index] for limit in self.limits)
-        return Pictures(shown, angles, index, weights, (least, greatest), self.capture.transfer)
+    def _of(self, index: Tensor, weights: Tensor, window: Window) -> Pictures:
+        angles = torch.einsum("pk,kcij->pcij", weights, self.angles[index][..., *window])
+        shown = _displayed(self.linear[index, *window], weights, self.capture.transfer)
+        least, greatest = (limit[index, *window] for limit in self.limits)
+        return Pictures(shown, angles, index, weights, (least, greatest), window, self.capture.transfer)
+
+    def _window(self, random: torch.Generator) -> Window:
+        room = self.capture.resolution - self.crop
+        if not self.crop or room <= 0:
+            return WHOLE
+        top, left = torch.randint(room + 1, (2,), generator=random).tolist()
+        return slice(top, top + self.crop), slice(left, left + self.crop)
 
 
 def _displayed(linear: Tensor, weights: Tensor, transfer: color.Transfer) -> Tensor:
     return color.encode(torch.einsum("pk,kijc->pcij", weights, linear), transfer)
+
+
+def seen_through(window: Window, views: Views, resolution: int) -> Views:
+    """Views of a crop of a patch of so many texels a side: around its middle, with its side as the size."""
+    if window == WHOLE:
+        return views
+    (top, bottom), (left, right) = ((each.start, each.stop) for each in window)
+    middle = torch.tensor([(left + right) / 2 / resolution - 0.5, 0.5 - (top + bottom) / 2 / resolution, 0.0])
+    shift = middle.to(views.camera) * views.size
+    return replace(views.carried(-shift), size=views.size * (bottom - top) / resolution)

@@ -4,8 +4,6 @@ A matrix is a dictionary (i, j) -> value of its lower triangle, i >= j. Every lo
 traced.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 PIVOT = 4  # roundings of its diagonal: what is left of a pivot below that is nothing else

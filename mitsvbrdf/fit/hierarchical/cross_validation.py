@@ -8,8 +8,6 @@ predict equally well the least is taken, by which the photos seen are explained 
 Breiman et al. 1984, of differences between the same photos).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace

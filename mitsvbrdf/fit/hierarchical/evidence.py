@@ -6,8 +6,6 @@ explained at each of some roughnesses with all other numbers free (profile likel
 Vaart 2000). Around each of these answers its photos are a Gaussian of the shared numbers (Schur complement).
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

@@ -1,7 +1,5 @@
 """Stages of exact photos: no lobe where none is needed, else lobes that texels share (multi-start)."""
 
-from __future__ import annotations
-
 from functools import cached_property
 
 from torch import Tensor

@@ -4,8 +4,6 @@ Everything here is traced by Dr.Jit: lists hold a value for each unknown, and ea
 texels.
 """
 
-from __future__ import annotations
-
 import weakref
 from collections.abc import Sequence
 from functools import reduce

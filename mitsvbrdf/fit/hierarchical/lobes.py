@@ -11,8 +11,6 @@ alike, so what is known beforehand counts as one texel a photo: most things are 
 some are metals, and anything else must be shown.
 """
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

@@ -1,7 +1,5 @@
 """The photos as a round sees them: noise, weights of pixels, and maps freed of burnt-in highlights."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import torch

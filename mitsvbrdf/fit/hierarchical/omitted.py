@@ -1,7 +1,5 @@
 """What ``hierarchical`` omits for these photos: known before the fit, or decided by its first stage."""
 
-from __future__ import annotations
-
 from ...render.needs import Omitted
 from ..config import HierarchicalConfig
 from ..task import FitTask

@@ -1,7 +1,5 @@
 """Stages of real photos: texels are tied, then free as far as photos ask for, and lose burn-in."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

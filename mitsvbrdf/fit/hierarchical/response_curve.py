@@ -5,8 +5,6 @@ texels are eliminated from the normal equations (Schur complement; Triggs et al.
 whether it stays.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 

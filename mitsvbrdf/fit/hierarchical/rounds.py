@@ -12,8 +12,6 @@ ask for (:mod:`.texel_prior`, :mod:`.cross_validation`). Texels of simulated pho
 learned from all of them (:mod:`.shared_lobes`), or have none where none is needed (:mod:`.specular_test`).
 """
 
-from __future__ import annotations
-
 from torch import Tensor
 
 from ...capture import Capture

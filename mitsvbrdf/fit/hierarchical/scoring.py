@@ -5,8 +5,6 @@ photos a thousand times worse than their noise allows, and knows no way out. The
 They alone are searched from more starts and by more steps (multi-start; Martí et al. 2018).
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial

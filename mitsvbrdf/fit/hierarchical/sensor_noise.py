@@ -4,8 +4,6 @@ Noise of a sensor is about the same everywhere in linear light, so that of displ
 are bright. A highlight tells more of a metal than all dark pixels do.
 """
 
-from __future__ import annotations
-
 import torch
 from torch import Tensor
 

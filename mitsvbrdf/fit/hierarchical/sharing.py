@@ -8,8 +8,6 @@ basis materials are averages of that, weighted by precision. Tau follows by expe
 et al. 1977; the division is that of expectation propagation, Minka 2001).
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterable, Iterator
 from typing import NamedTuple

@@ -4,8 +4,6 @@ Photos of a simulation follow the model to the last digit, photos of a phone do 
 leaves unexplained tells which kind they are, and that decides which stages come next.
 """
 
-from __future__ import annotations
-
 from enum import IntEnum
 
 import torch

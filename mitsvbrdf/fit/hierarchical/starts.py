@@ -1,7 +1,5 @@
 """Where to start from: other starts of a texel in each round."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import partial

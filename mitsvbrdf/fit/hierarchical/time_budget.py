@@ -5,8 +5,6 @@ itself, so that a slow machine does less and none is told how fast it is. Withou
 allowed, and nothing that fits comes out otherwise for being timed.
 """
 
-from __future__ import annotations
-
 import contextlib
 import math
 import time

@@ -1,7 +1,5 @@
 """The unknowns of a texel by map, and the slopes that a solver takes of them."""
 
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import torch

@@ -1,7 +1,5 @@
 """By how much camera and flash stood elsewhere than stated."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

@@ -1,5 +1,6 @@
 """The networks have the papers' layers."""
 
+from dataclasses import replace
 
 import pytest
 import torch
@@ -8,8 +9,9 @@ from helpers import ANALYTIC, GRID
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.fit.generator.networks import AllPhotosGenerator, PatchDiscriminator, TwoStreamGenerator
-from mitsvbrdf.fit.generator.pictures import PictureSource
+from mitsvbrdf.fit.generator.pictures import PictureSource, seen_through
 from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.maps import SVBRDF
 
 
 def test_input_and_rendering_of_the_gan_show_the_same_blend():
@@ -25,6 +27,22 @@ def test_input_and_rendering_of_the_gan_show_the_same_blend():
             assert torch.allclose(pictures.of(ANALYTIC.render(truth, views.pick(pictures.index))),
                                   pictures.shown, atol=1e-4)
     assert seen == {1, 2}
+
+
+@pytest.mark.parametrize("falloff", ["inverse-square", "none"])
+def test_a_crop_is_lit_as_the_whole_is(falloff):
+    # What is rendered of a crop's texels under the views moved to it is the crop of what is rendered of the
+    # whole.
+    truth, views = make_material("inlay", 32), replace(GRID, size=1.0, falloff=falloff)
+    photos = color.to_display(ANALYTIC.render(truth, views))
+    source = PictureSource(Capture(photos, views), True, crop=16)
+    random = torch.Generator().manual_seed(0)
+    for _ in range(5):
+        pictures = source.draw(2, random)
+        part = SVBRDF(truth.bsdf, {k: v[pictures.window] for k, v in truth.maps.items()})
+        assert part.resolution == 16
+        lit = seen_through(pictures.window, views, 32).pick(pictures.index)
+        assert torch.allclose(pictures.of(ANALYTIC.render(part, lit)), pictures.shown, atol=1e-4)
 
 
 def test_a_rendering_too_bright_is_told_so_unless_the_photo_is_clipped():
