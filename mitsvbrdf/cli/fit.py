@@ -183,17 +183,22 @@ def _say_result(result: Fit, shots: Capture, before: int | None) -> None:
     if shots.views.falloff == "none":
         say("scene.xml has a light that falls off with the distance; this fit's did not")
     sure = result.record["confidence"]
-    told = [f"{name} ±{found['median_sd']:.3f} ({found['determined_share']:.0%} determined)"
+    told = [f"{name} {_deviation(found['median_sd'])} ({found['determined_share']:.0%} determined)"
             for name, found in sure.items()]
     say(f"how sure: {', '.join(told)}")
     if result.deviations_with_look_alikes:
-        say("with look-alikes: " + ", ".join(f"{name} ±{each['with_look_alikes']:.3f}"
+        say("with look-alikes: " + ", ".join(f"{name} {_deviation(each['with_look_alikes'])}"
                                              for name, each in sure.items()))
     say("±: median deviation by a texel's own photos, maps counted from 0 to 1, colours as linear^(1/2.2), "
         f"normals as (n + 1) / 2; determined: texels below ±{DETERMINED:g}; the others follow texels that "
         "look alike")
     for warning in result.warnings:
         say(f"warning: {warning}")
+
+
+def _deviation(median: float) -> str:
+    """Of texels whose photos refuse their answer no more is known than that they are not determined."""
+    return f"±{median:.3f}" if abs(median - DETERMINED) > 1e-6 else f"at least ±{median:.3f}"
 
 
 def settings(arguments: Sequence[str], usual: FitConfig | None = None) -> FitConfig:

@@ -5,6 +5,8 @@ photos leave open (:mod:`.posterior`). Within d of the answer lie 68 % of it, an
 of a normal distribution around the answer, d is the standard deviation. An answer at the edge of what the
 photos leave open has a wide one. What is wrong for all photos alike, such as the light power, is not in it.
 
+A texel whose photos refuse its answer is not determined, whatever its look-alikes are.
+
 The valley is followed for every k-th texel. Each texel has what the curvature of its own photos says, times
 what the valley adds to that nearby.
 
@@ -68,8 +70,10 @@ def deviations(svbrdf: SVBRDF, views: Views, task: FitTask,
             _by_curvature(svbrdf, capture.but(views=views), own, solver, texels)
             for texels in (every, _every(side, FULL)))
         alone, alike = (_spread(found, here, there) for found in (alone, alike))
-    least = (wrong * DETERMINED).where(values > 0, UNKNOWN)[..., None]
-    return {name: value.maximum(least) for name, value in alone.items()}, alike
+    least = (wrong * DETERMINED)[..., None]
+    unseen = least.where(values[..., None] > 0, UNKNOWN)
+    return ({name: value.maximum(unseen) for name, value in alone.items()},
+            {name: value.maximum(least) for name, value in alike.items()})
 
 
 def _every(side: int, most: int) -> slice:
