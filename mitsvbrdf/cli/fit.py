@@ -37,7 +37,6 @@ SHOWN = ("bsdf", "budget", "iterations", "seed", "fix", "grey_specular", "calibr
 # Bytes a texel, and more for each photo: of memory at the peak (real photos, measured at 2048 and 4096 px),
 # and on disk.
 HELD, WRITTEN = (200, 12), (200, 20)
-THREE_WAYS = "--calibrate", "--exact"  # on, off or left to the fit
 
 
 def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArgPrefixes[FitOptions] = USUAL,
@@ -179,7 +178,7 @@ def _say_result(result: Fit, shots: Capture, before: int | None) -> None:
         say(f"nothing was left to do after {before} iterations and {result.trace[-1]['seconds']:.0f} s; "
             "raise --iterations or --budget")
     elif result.stopped == "settled":
-        say(f"settled after {result.trace[-1]['seconds']:.0f} s: it ended by itself, before its limit")
+        say(f"settled after {result.trace[-1]['seconds']:.0f} s: it ended by itself")
     if shots.views.falloff == "none":
         say("scene.xml has a light that falls off with the distance; this fit's did not")
     sure = result.record["confidence"]
@@ -229,12 +228,13 @@ def _usual_only(config: FitConfig) -> FitConfig:
 
 
 def with_flags(arguments: Sequence[str]) -> list[str]:
-    """Arguments with --calibrate, --exact and their --no- as True and False. Unsaid, the fit decides.
+    """Arguments with --exact, --no-exact and the like as True and False. Unsaid, the fit decides.
 
     A flag that the method lacks stays as it was typed: the parser names it.
     """
     found: list[str] = []
-    known = {f"--{each.name}" for each in fields(settings(arguments))}.intersection(THREE_WAYS)
+    hints = get_type_hints(type(settings(arguments)))
+    known = {f"--{name}" for name, hint in hints.items() if hint == bool | None}
     for here, after in zip(arguments, [*arguments[1:], ""]):
         name = here.replace("--no-", "--", 1)
         alone = name in known and after not in ("True", "False", "None")

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from mitsvbrdf import cli
-from mitsvbrdf.cli.fit import _say_result
+from mitsvbrdf.cli.fit import _say_result, with_flags
 from mitsvbrdf.fit.checkpoint import load_tensors
 from mitsvbrdf.fit.config import HierarchicalConfig
 
@@ -55,3 +55,11 @@ def test_the_first_stage_of_two_by_either_name(shots, tmp_path, capsys):
     assert first and all(torch.equal(first[name], value) for name, value in second.items())
     assert cli.main(["fit", str(shots), "-o", str(tmp_path / "c.safetensors"), "--pretrain"]) == 2
     assert "--method gan beside --pretrain" in capsys.readouterr().err
+
+
+def test_flags_that_the_fit_decides_unless_told():
+    for name in ("exact", "stationary", "calibrate"):
+        for flag, value in ((f"--{name}", "True"), (f"--no-{name}", "False")):
+            assert with_flags(["photos", flag, "-o", "out"]) == ["photos", f"--{name}", value, "-o", "out"]
+    assert with_flags(["--exact", "False"]) == ["--exact", "False"]
+    assert with_flags(["--no-neighbours"]) == ["--no-neighbours"]

@@ -48,7 +48,7 @@ def omitted_stages(task: FitTask[HierarchicalConfig], stages: Stages | None = No
     if exact is None and stages and stages.known:
         exact, structure = stages.exact, float(stages.unexplained[0])
         below = "below" if exact else "not below"
-        why = f"a free fit leaves errors with a structure of {structure:.2g}, {below} {EXACT:g}"
+        why = f"a free fit leaves errors with a structure of {structure:.3g}, {below} {EXACT:g}"
     items, hurried = list[tuple[str, str]](), stages is not None and stages.hurried
     if exact:
         items.append((TIED, f"{FOLLOW}: {why}"))
