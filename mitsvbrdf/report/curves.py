@@ -15,14 +15,14 @@ MOST_POINTS = 1000  # of a line; of a longer trace only every so many are shown
 def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
     """The named columns of a trace (one dict a measurement) against its ``seconds``, both logarithmic.
 
-    Logarithmic axes omit points at 0 seconds and values that are not positive or not finite. Gives ``width``
+    Logarithmic axes omit points at 0 seconds and values that are not positive or beyond 1e99. Gives ``width``
     and ``height``, the ``frame`` (left, top, right, bottom), ``x`` and ``y`` as (place, label) of each tick,
     and ``lines``: ``name``, ``colour``, ``points`` (x, y, seconds, value), ``marked``; None without a point.
     """
     rows = list(trace[::max(1, math.ceil(len(trace) / MOST_POINTS))])
     rows += [trace[-1]] if trace and rows[-1] is not trace[-1] else []
-    lines = {name: [(row["seconds"], row[name]) for row in rows if _positive(row["seconds"])
-                    and _positive(row.get(name))]
+    lines = {name: [(row["seconds"], row[name]) for row in rows if _drawable(row["seconds"])
+                    and _drawable(row.get(name))]
              for name in names}
     lines = {name: points for name, points in lines.items() if points}
     if not lines:
@@ -50,8 +50,8 @@ def losses_of(trace: Sequence[Mapping]) -> list[str]:
             if name not in ("seconds", "iteration", "stage", "rerender_rmse")]
 
 
-def _positive(value: float | None) -> bool:
-    return value is not None and 0 < value < math.inf
+def _drawable(value: float | None) -> bool:
+    return value is not None and 1e-99 < value < 1e99  # so that ticks beyond are floats, too
 
 
 class _Axis:

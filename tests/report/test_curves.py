@@ -60,3 +60,9 @@ def test_pictures_that_would_be_large_become_jpegs():
     # Measured RMSE of noise, of 255: 15 in every channel; 74 with the colours at half the size.
     errors = decoded(picture_uri(noise)).astype(float) - 255 * noise.numpy()
     assert np.sqrt(np.mean(errors**2, axis=(0, 1))).max() < 20
+
+
+@pytest.mark.parametrize("odd", [5e-324, 1e-307, 1e308])
+def test_a_number_beyond_all_errors_is_left_out(odd):
+    trace = [{"seconds": second, "a": value} for second, value in ((1.0, 0.1), (2.0, odd), (odd, 0.1))]
+    assert [point[2:] for point in curves(trace, ["a"])["lines"][0]["points"]] == [(1.0, 0.1)]
