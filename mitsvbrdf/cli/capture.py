@@ -4,23 +4,20 @@ import contextlib
 import math
 import os
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from rich.table import Table
 from tyro.conf import Positional, arg
 
-from ..capture import write_capture
-from ..capture.align.from_sheet import refuse_tags
 from ..capture.align.sheet import PAPER_THICKNESS
-from ..capture.photo import Photo, photos_in
-from ..capture.quality.next_view import HIGHLIGHT_ANGLE
-from ..capture.stages import CaptureResult, capture_keys, make_capture
 from ..errors import ConfigError
 from ..io import results
 from ..io.progress import print_rich, progress_bar, say
 from ..io.signals import deferred_signals
-from ..report.capture_page import write_quality
 from .options import Out, Overwrite, Strict, TransferChoice, folder_of_its_own
+
+if TYPE_CHECKING:
+    from ..capture.stages import CaptureResult
 
 
 def capture(photos: Annotated[Positional[Path], arg(
@@ -47,6 +44,12 @@ def capture(photos: Annotated[Positional[Path], arg(
     OUT holds capture.json and the rectified photos in target/. quality.html lists rejected photos with the
     reason, and says where one more photo helps most. quality.json holds its numbers.
     """
+    from ..capture import write_capture
+    from ..capture.align.from_sheet import refuse_tags
+    from ..capture.photo import Photo, photos_in
+    from ..capture.stages import capture_keys, make_capture
+    from ..report.capture_page import write_quality
+
     if os.path.realpath(photos) in (os.path.realpath(out), os.path.realpath(out / "target")):
         raise folder_of_its_own(out, "photos")
     if sheet is None and depth != PAPER_THICKNESS:
@@ -70,8 +73,10 @@ def capture(photos: Annotated[Positional[Path], arg(
     return 0
 
 
-def _print(result: CaptureResult) -> None:
+def _print(result: "CaptureResult") -> None:
     """Each photo with its number in a fit or the reason to reject it, and notes."""
+    from ..capture.quality.next_view import HIGHLIGHT_ANGLE
+
     table = Table(title=f"{len(result.used)} of {len(result.photos)} photos used", title_justify="left")
     tags = result.rig.tags
     for heading in ("photo", "", *(["tags"] if tags else []), "reprojection", "sharpness", "clipped"):

@@ -2,19 +2,20 @@
 
 from pathlib import Path
 
-from ..evaluate import evaluate_maps
-from ..fit.config import HierarchicalConfig
 from ..io import results
 from ..io.progress import print_numbers, say
-from ..material.made import make_material
-from ..material.map_files import load_maps, save_maps
-from .fit import fit
 from .options import Out, Overwrite
-from .synth import synth
 
 
 def demo(out: Out = Path("demo"), budget: float = 75.0, overwrite: Overwrite = True) -> int:
     """Photograph a made material, recover it, and compare with the truth; about two minutes."""
+    from ..evaluate import evaluate_maps
+    from ..fit.config import HierarchicalConfig
+    from ..material.made import make_material
+    from ..material.map_files import load_maps, save_maps
+    from .fit import fit
+    from .synth import synth
+
     truth, photos, result = out / "material", out / "capture", out / "fit"
     if result.exists():
         say(f"replacing the earlier demo in {out}")

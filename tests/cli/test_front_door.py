@@ -38,6 +38,7 @@ print("\\n", code, *sorted(set({HEAVY!r}) & set(sys.modules)))
 
 @pytest.mark.parametrize("arguments, word, status", [
     (["--help"], "relight", 0), (["--version"], "mitsvbrdf ", 0), (["sheet", "--help"], "--paper", 0),
+    (["capture", "--help"], "--sheet", 0), (["demo", "--help"], "--budget", 0),
     ([], "subcommand", 2), (["shet"], "shet", 2), (["sheet", "--papr", "a4"], "--papr", 2)])
 def test_words_about_commands_load_nothing_heavy(arguments, word, status, tmp_path):
     said, code, heavy = loaded_by(arguments, tmp_path)

@@ -18,11 +18,7 @@ SAMPLED = 256  # texels a side that are learned from
 
 
 class Relief:
-    """Shares of :data:`WIDTHS` among texels.
-
-    Args:
-        share: of each width; they sum to 1.
-    """
+    """Shares of :data:`WIDTHS` among texels, which sum to 1."""
 
     def __init__(self, share: Tensor) -> None:
         self.share = share

@@ -62,8 +62,7 @@ class SharedLobes:
                  renderer: Renderer) -> tuple[SharedLobes, TexelEstimate, Tensor]:
         """Explain each texel at many roughnesses; learn of that the noise of the photos, then the lobes.
 
-        Returns:
-            The lobes, texels with those that they most probably have, and their lowest mean cost.
+        Gives the lobes, texels with those that they most probably have, and their lowest mean cost.
         """
         photos, side = replace(seen.observations(scale, answer), robust=None), scale.capture.resolution
         answers, best = searched(scale.solver, photos, prior, answer.x)
@@ -143,9 +142,7 @@ class SharedLobes:
     def starts(self, answer: TexelEstimate, turn: int) -> list[Start]:
         """Other starts in a round: neighbours with their lobes, tilts, and other lobes.
 
-        Args:
-            answer: so far.
-            turn: which round it is, from 1; in the first the other coarse texels nearby are starts, too.
+        Turns count from 1; in the first the other coarse texels nearby are starts, too.
         """
         *common, wide = self.others
         half = answer.x.shape[-1] // COARSE // 2 if turn == 1 else 0
