@@ -11,6 +11,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+STEEPEST = 10.0  # slope of a normal: 84 degrees
 WIDTHS = [0.005 * 2.0**k for k in range(11)]  # standard deviations of a slope
 ROUNDS = 40  # of expectation-maximisation
 NOBODY = 1e-6  # least share of a width
@@ -38,7 +39,8 @@ class Relief:
         step = -(-x.shape[-1] // SAMPLED)
         x, variance, precision = (part[:, ::step, ::step].flatten(1).double()
                                   for part in (x, variance, precision))
-        told, pull = (1 / variance - precision).clamp_min(0), x / variance
+        told = (1 / variance - precision).clamp_min(0)
+        pull = (x / variance).clamp(-STEEPEST * told, STEEPEST * told)
         spread = torch.tensor(WIDTHS).double().square()[:, None, None]
         wide = 1 + told * spread
         # of each width, over that of a flat texel

@@ -15,7 +15,7 @@ from .evidence import evidence, searched
 from .kernel import tile_rows, tiles
 from .lobes import Learner, Lobes
 from .observations import ObservationModel
-from .relief import Relief
+from .relief import STEEPEST, Relief
 from .scales import COARSE, Scale
 from .sharing import membership
 from .solver import Observations, TexelSolver
@@ -24,7 +24,6 @@ from .texel_prior import FIXED, TexelEstimate, TexelPrior
 
 LIKELY = 8  # lobes that are tried in a texel: those most common among its look-alikes
 TRIED = LIKELY + 2  # by :meth:`SharedLobes.averaged`
-STEEPEST = 10.0  # slope of a normal: 84 degrees
 TURNS = 6  # tilts that a texel is begun at whose photos refuse its answer
 FAR_MORE = 30.0  # log of how much likelier than the present one a lobe may count
 

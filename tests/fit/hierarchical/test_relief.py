@@ -31,6 +31,15 @@ def test_a_mixture_that_is_known_comes_back(noise, prior):
     assert -0.001 < lost < 0.02, lost
 
 
+def test_texels_of_which_photos_say_nothing_have_no_say():
+    # half of the texels are flat, the others have not arrived: steep, though no photo tells their slope
+    x, variance = torch.zeros(2, 64, 64), torch.full((2, 64, 64), 1e-4)
+    x[:, :32], variance[:, :32] = 2.0, 0.5
+    found = Relief.learned(x, variance, torch.full_like(x, 2.0))
+    alone = Relief.learned(x[:, 32:, :32], variance[:, 32:, :32], torch.full((2, 32, 32), 2.0))
+    torch.testing.assert_close(found.share, alone.share, rtol=0, atol=0.02)
+
+
 def test_the_precision_is_what_a_small_change_of_the_square_costs():
     found = Relief(torch.tensor([0.5, *[0.05] * 10], dtype=torch.float64))
     at = torch.tensor([0.0, 1e-4, 1e-2, 0.1, 0.5], dtype=torch.float64)
