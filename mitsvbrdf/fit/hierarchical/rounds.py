@@ -152,10 +152,10 @@ class Hierarchical(Method[HierarchicalConfig]):
         fine, turn, lobes = self.stages.stage == Stage.FINE, self.stages.rounds, self.exact.lobes
         steps = self.budget.steps(STEPS, self.budget.to_come) if fine else STEPS
         others = FAR_STEPS if lobes else OTHER_STEPS
-        scoring = self._scoring()
-        self.cut, before = steps < STEPS, self.answer.x
+        scoring, self.cut, before = self._scoring(), steps < STEPS, self.answer.x
         self.answer = self.answer.copy()  # a state may have the planes
-        self.answer, cost = scoring.scored(self.answer, steps)
+        cost = scoring.scored(self.answer, 0)[1] if lobes else None  # steps do not know the whole evidence
+        self.answer, cost = scoring.scored(self.answer, steps, cost=cost)
         moved = sum(int(((self.answer.x[:, rows] - before[:, rows]).abs().amax(dim=0) > MOVED).sum())
                     for rows in strips(before.shape[-1])) / cost.numel()
         del before

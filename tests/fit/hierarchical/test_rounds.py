@@ -2,6 +2,7 @@
 
 import signal
 
+import numpy as np
 import pytest
 import torch
 from helpers import MITSUBA, TWIN
@@ -24,8 +25,13 @@ def cost_of(method, x, mean, precision):
     error = torch.where(seen.photos >= 0.995, error.clamp_max(0), error) / noise
     weight = seen.weights
     far = 10 if method.stages.tied and method.stages.stage == Stage.FINE else 3
-    rho = (2 * far**2 * (torch.sqrt(1 + error.square() / far**2) - 1)
-           * (1 if weight is None else weight.double()[..., None]))
+    weight = 1.0 if weight is None else weight.double()[..., None]
+    if seen.sensor is not None:  # pixels count by the noise of their brightness
+        at, deviation = seen.sensor.double().numpy()
+        own = np.interp(seen.photos.double().mean(dim=-1).numpy(), at, deviation)
+        weight = weight * (noise / torch.from_numpy(own)[..., None]).square()
+    rho = (error.square() if seen.robust is None else
+           2 * far**2 * (torch.sqrt(1 + error.square() / far**2) - 1)) * weight
     return rho.sum(dim=(0, 3)) + (precision * (x - mean).square()).double().sum(dim=0)
 
 
@@ -59,7 +65,7 @@ def test_a_round_raises_no_texels_cost(exact, capture, monkeypatch):
     # counts to 1e-5.
     assert max(rises) < 1e-5 and rises[0] < -0.5
     # Of texels that share lobes, starts compete by -2 log of the evidence, and steps do not lower its
-    # determinant. Measured 0.036.
+    # determinant: it decides whether they are taken. Measured 0.012; 0.48 where it did not.
     assert max(with_lobes, default=0.0) < 0.1
 
 
