@@ -22,7 +22,7 @@ from ..io.decode import header, picture, upright
 from ..io.images import averaged, display, unmasked
 from ..io.json import error_text, load
 from ..views import Falloff, Views, default_views
-from .capture import LEAST_SIDE, Calibration, Capture, Converted, converted, notes_of
+from .capture import LEAST_SIDE, Calibration, Capture, Converted, converted, notes_of, single_pixels
 from .photo import HEIC, PLAIN, files_of
 from .rectify import filled
 from .sharpness import CLEARLY, MOST_PHOTOS, carried, middle
@@ -148,12 +148,14 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
     if (held := len(paths) * kept**2) > MOST_HELD:
         raise CaptureError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together",
                            f"{held / 1e6:.0f} in {source}", "read them at a lower resolution")
-    photos, outside, middles = np.empty(0), {}, list[np.ndarray]()
+    photos, outside, middles, single = np.empty(0), {}, list[np.ndarray](), list[np.ndarray]()
     for row, (path, about) in enumerate(zip(paths, headers)):
         found = picture(path, CaptureError)
         pixels = upright(found.pixels, about.orientation)
         if side >= CLEARLY * kept and row < MOST_PHOTOS:
             middles.append(middle(pixels))
+        if kept < side:
+            single.append(display(single_pixels(pixels, kept)))
         if kept < side or found.opaque is not None:
             pixels = averaged(pixels, kept)
         if not row:
@@ -169,7 +171,8 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
     colours = {**(told or {}),
                **converted({path.name: about.profile for path, about in zip(paths, headers)}, outside)}
     return Capture(pictures, views, transfer, tuple(index), calibration, source, tuple(notes_of(colours)),
-                   colours, measured, carried(middles, side, kept) if middles else None)
+                   colours, measured, carried(middles, side, kept) if middles else None,
+                   torch.from_numpy(np.stack(single)) if single else None)
 
 
 def _common_side(paths: list[Path], sizes: list[tuple[int, int]], source: Path) -> int:

@@ -65,6 +65,7 @@ def used_transfer(transfer: Transfer, colours: Mapping[str, Converted]) -> tuple
 
 
 LEAST_SIDE = 8  # pixels
+SINGLE = 32  # pixels a side that are kept as they were, of photos that are shrunk
 
 # Where the views of a capture come from: its maker, a marker sheet, the features that raw photos share, or
 # nowhere.
@@ -103,6 +104,8 @@ class Capture:
         measured: N x R x R, False where photos are made up (masked, or beyond an edge); None: nowhere.
         carries: pixels a side that they carried detail of before they were shrunk (:mod:`.sharpness`); None:
             not asked.
+        single: N x P x P x 3, single pixels that they had before they were shrunk (:func:`single_pixels`);
+            None: they were not.
 
     Raises:
         CaptureError: photos of another shape or with values that no photo has, or not a view and a number for
@@ -120,6 +123,7 @@ class Capture:
     colours: Mapping[str, Converted] = field(default_factory=dict)
     measured: Tensor | None = None
     carries: int | None = None
+    single: Tensor | None = None
 
     def __post_init__(self) -> None:
         check_fields(self, "views", "transfer", "calibration", "source")
@@ -194,7 +198,19 @@ class Capture:
     def averaged(self, resolution: int) -> Capture:
         """The photos at another size, by area averages of display values."""
         photos = [area_averaged(self.photo(row), resolution) for row in range(len(self))]
-        return replace(self, photos=torch.stack(photos), measured=self.measured_at(resolution))
+        return replace(self, photos=torch.stack(photos), measured=self.measured_at(resolution),
+                       single=self.single_at(resolution))
+
+    def single_at(self, resolution: int) -> Tensor | None:
+        """:attr:`single` once the photos are shrunk to this size."""
+        if self.single is not None or resolution == self.resolution:
+            return self.single
+        return torch.stack([single_pixels(photo, resolution) for photo in self.stored])
+
+    def of_single(self) -> Capture | None:
+        """The photos of :attr:`single` pixels; None where photos are whole, or masked."""
+        shrunk = self.single is not None and self.measured is None
+        return self.but(photos=self.single, single=None, carries=None) if shrunk else None
 
     @kinds_checked
     def sampled(self, resolution: int) -> Capture:
@@ -219,8 +235,19 @@ class Capture:
         if len(set(index)) < len(index):
             raise CaptureError("each photo once", f"photos {list(index)}", "take the repeated number out")
         rows = [self.index.index(i) for i in index]
-        return replace(self, photos=self.stored[rows], views=self.views.pick(rows), index=tuple(index),
-                       measured=None if self.measured is None else self.measured[rows])
+        pixels = {"photos": self.stored, "measured": self.measured, "single": self.single}
+        return self.but(views=self.views.pick(rows), index=tuple(index), **{
+            name: None if kept is None else kept[rows] for name, kept in pixels.items()})
+
+
+def single_pixels(picture: Any, resolution: int) -> Any:
+    """Pixels at equal distances of a square picture, S x S x 3: as many as are kept once it is shrunk.
+
+    Each lies in the middle of its square, to half a pixel.
+    """
+    count = min(SINGLE, resolution)
+    at = [(2 * k + 1) * len(picture) // (2 * count) for k in range(count)]
+    return picture[at][:, at]
 
 
 Capture.photos = _Photos()  # type: ignore[assignment,misc]

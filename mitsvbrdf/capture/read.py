@@ -251,9 +251,8 @@ def _shrunk(capture: Capture, resolution: int | None) -> Capture:
     if resolution > capture.resolution:
         note = f"the photos have {capture.resolution} pixels a side, so they are not enlarged to {resolution}"
         return capture.but(notes=(*capture.notes, note))
-    photos, carries = [averaged(photo.numpy(), resolution) for photo in capture.stored], None
+    carries = None
     if capture.resolution >= CLEARLY * resolution:
         middles = [middle(photo.numpy()) for photo in capture.stored[:MOST_PHOTOS]]
         carries = carried(middles, capture.resolution, resolution)
-    return capture.but(photos=torch.from_numpy(np.stack(photos)), measured=capture.measured_at(resolution),
-                       carries=carries)
+    return capture.averaged(resolution).but(carries=carries)

@@ -57,12 +57,9 @@ def laid_alike(capture: Capture) -> Capture:
     found = ways(capture)
     if not any(found):
         return capture
-    photos, measured = capture.stored.clone(), capture.measured
-    measured = None if measured is None else measured.clone()
-    for number, way in enumerate(found):
-        photos[number] = laid(photos[number, None], way)[0]
-        if measured is not None:
-            measured[number] = laid(measured[number, None], way)[0]
+    kept = {"photos": capture.stored, "measured": capture.measured, "single": capture.single}
+    turned = {name: torch.cat([laid(photo, way) for photo, way in zip(pixels.split(1), found)])
+              for name, pixels in kept.items() if pixels is not None}
     notes = []
     for way in sorted(set(found) - {0}):
         mirrored, turns = WAYS[way]
@@ -70,7 +67,7 @@ def laid_alike(capture: Capture) -> Capture:
         how = " and ".join(["mirrored"] * mirrored + [f"turned by {180 if turns == 2 else 90} degrees"]
                            * (turns > 0))
         notes.append(f"{how} beside the others, as the pattern shows: {names}; laid as the others lie")
-    return capture.but(photos=photos, measured=measured, notes=(*capture.notes, *notes))
+    return capture.but(**turned, notes=(*capture.notes, *notes))
 
 
 def _pattern(capture: Capture) -> Tensor:

@@ -29,7 +29,7 @@ from .record import FROM, SCHEMA_VERSION
 from .result import Fit
 from .solved_gan import SolvedGan
 from .task import FitTask
-from .warnings import SAMPLED, UNSETTLED, fit_warnings
+from .warnings import MIXED, SAMPLED, UNSETTLED, fit_warnings
 
 
 def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -> Fit:
@@ -84,6 +84,8 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
                              "capture": capture.source.name if capture.source else "", "seen_by": renderer,
                              **({} if seen.images is None else {"rerendered": seen.images})})
     said: tuple[str, ...] = (task.repeats.said(),) if task.repeats else ()
+    if isinstance(solver, Hierarchical) and solver.mixed:
+        said += (MIXED.format(capture.resolution),)
     said += (UNSETTLED,) if method.cut_short and loop.iteration else ()
     return fit.but(warnings=(*capture.notes[len(notes):], *said, *fit_warnings(fit, capture)))
 

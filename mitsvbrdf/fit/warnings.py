@@ -33,6 +33,8 @@ LOOKED_AT = 512  # px a side that tell of the photos by themselves
 SAMPLED = 256  # px a side that tell of gains
 COARSE = 64  # px at which photos are compared; the closest two of the eighteen are 4.6 / 255 apart
 UNSETTLED = "the fit ended before it had settled: give more seconds or iterations"
+MIXED = ("every pixel of the photos follows the model, and their averages at {} px do not, so maps are off "
+         "by more than is stated: fit the photos at their full size (--resolution)")
 WORSE = 2.5  # times the median error of a photo; 1.1 to 2.3
 POOR = 0.1  # re-rendering RMSE
 BURNT_IN = 0.3  # share of a map that lies as the highlights do; ten had up to 0.18, two of wood 0.4 to 0.74

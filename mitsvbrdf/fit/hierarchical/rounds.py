@@ -12,6 +12,8 @@ ask for (:mod:`.texel_prior`, :mod:`.cross_validation`). Texels of simulated pho
 learned from all of them (:mod:`.shared_lobes`), or have none where none is needed (:mod:`.specular_test`).
 """
 
+from dataclasses import replace
+
 from torch import Tensor
 
 from ...capture import Capture
@@ -34,12 +36,13 @@ from .scales import Scales
 from .scoring import Scoring
 from .shared_lobes import TRIED
 from .specular_test import Search
-from .stages import MOVED, NOISE, Stage, Stages, unexplained
+from .stages import EXACT, MOVED, NOISE, ROUNDS, Stage, Stages, unexplained
 from .starts import other_starts
 from .texel_prior import TexelEstimate, TexelPrior
 from .time_budget import FAR_STEPS, LAST_STEPS, OTHER_STEPS, ROUND_STEPS, STEPS, TimeBudget
 from .view_corrections import LEVELLED, REFINED, ViewCorrections
 
+MIXED = 2.0  # times the structure that single pixels leave: their averages follow the model no longer
 SHOWN = 256  # texels a side that a preview has, or somewhat more
 
 
@@ -118,8 +121,7 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     def _begin_next_stage(self) -> None:
         if self.stages.stage == Stage.ALONE:
-            self.stages.judge(unexplained(self.preview(), self.corrections.applied(self.views),
-                                          self.scale.capture, make_renderer("mitsuba", self.variant)))
+            self.stages.judge(self.unexplained())
             if found := self.exact.omit_lobe(self.answer):
                 self.scale, self.answer = found
         in_time = self.budget.in_time(SEARCH_STEPS * self.scale.texels, beside=STEPS)
@@ -136,6 +138,23 @@ class Hierarchical(Method[HierarchicalConfig]):
                 self.capture = self.real.seen_through(self.capture)
             self.scale, self.answer = self.photos.at_full_size(self.answer, self.scale)
         self.stages.enter(stage, hurried)
+
+    def unexplained(self) -> Tensor:
+        """Structure and RMSE of the present errors."""
+        return unexplained(self.preview(), self.corrections.applied(self.views), self.scale.capture,
+                           make_renderer("mitsuba", self.variant))
+
+    @property
+    def mixed(self) -> bool:
+        """Whether single pixels of the photos follow the model, and their averages clearly less so."""
+        pixels = self.task.capture.of_single()
+        if pixels is None or not self.stages.known:
+            return False
+        alone = Hierarchical(replace(self.task, capture=pixels, own_guess=None))
+        for _ in range(ROUNDS[Stage.ALONE]):
+            alone.step(0.0)
+        structure = float(alone.unexplained()[0])
+        return structure < EXACT and MIXED * structure < float(self.stages.unexplained[0])
 
     def end(self) -> None:
         """Free the planes of the answer."""
