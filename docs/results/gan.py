@@ -173,8 +173,8 @@ def page(record: dict) -> str:
 {as_markdown(known(record))}
 
 RMSE of maps encoded to 0 to 1, mean of six materials, median of three seeds (`gan` at 300 s: one), 128 px \
-where nothing else is said. `gan` begins at the guess, but in "From solved maps". The adversarial loss is \
-worth more than all else; specular is what it makes worse. Feature matching took the mean after 30 s from \
+where nothing else is said. `gan` is `--start guess` everywhere but in *From solved maps*. The adversarial \
+loss improves all maps but specular. Feature matching took the mean after 30 s from \
 {matched[0]:.4f} to {matched[1]:.4f} (two seeds).
 
 {as_markdown(game(record))}
@@ -197,8 +197,8 @@ are predicted no better with it.
 
 {as_markdown(one_photo(record))}
 
-256 px, stated view 1.2 sides above; the published maps are of the publishers' own photo. The rest of ten \
-materials does not repeat itself by the test of its photo.
+256 px, stated view 1.2 sides above; the published maps are of the publishers' own photo. Two of ten \
+materials are missing: their photos fail the test of repetition.
 
 | one flash photo of a stationary material | what it does | here |
 | --- | --- | --- |

@@ -23,6 +23,9 @@ SHOWN = {"mean": "maps", "novel_light": "new light", "left_out": "held out", "ph
 UNSEEN = ("maps", "new light", "held out")  # the errors that decide
 FLOOR = 0.001  # errors below count as this
 SAVES, COSTS = 1.05, 1.02  # ratios from which seconds count as saved, and errors as a cost
+# names of parts in the record, as pages have them
+NOW = {"rival starts": "many starts", "photos left out in turn": "cross-validation",
+       "adversarial finish": "plausible detail"}
 
 # A part of a fit -> method, settings that take it away, scenes.
 SETTINGS = {
@@ -43,9 +46,8 @@ def renders(records: list) -> pd.DataFrame:
     for r in records:
         full, lean = (r["seconds"][side]["median"] for side in ("full", "lean"))
         if full / lean >= SAVES:
-            rows[f"{r['name']} ({r['where']})"] = [r["why"], f"{r['worst']:.2g}", f"{1e3 * full:.3g}",
-                                                   f"{1e3 * lean:.3g}",
-                                                   f"{full / lean:.2f}"]
+            rows[f"{NOW.get(r['name'], r['name'])} ({r['where']})"] = [
+                r["why"], f"{r['worst']:.2g}", f"{1e3 * full:.3g}", f"{1e3 * lean:.3g}", f"{full / lean:.2f}"]
     return pd.DataFrame.from_dict(rows, orient="index", columns=[
         "when", "largest difference", "with, ms", "without, ms", "ratio"])
 
@@ -64,7 +66,7 @@ def fits(records: list) -> pd.DataFrame:
         worst = max((errors[name] for name in UNSEEN if name in errors), default=1.0)
         verdict = "needed" if worst > COSTS else "not needed" if ratio >= SAVES else "no time saved"
         itself = " (by itself)" if r["put_in"] else ""
-        rows[f"{r['part']}, `{r['of']}`: {r['kind']}{itself}"] = [
+        rows[f"{NOW.get(r['part'], r['part'])}, `{r['of']}`: {r['kind']}{itself}"] = [
             f"{ratio:.2f} ({low:.2f} to {high:.2f})",
             *(f"{errors[name]:.3f}" if name in errors else "–" for name in (*UNSEEN, "seen")), verdict]
     return pd.DataFrame.from_dict(rows, orient="index",
@@ -84,8 +86,8 @@ def page(record: dict) -> str:
 
 {as_markdown(fits(suite(record, "leave-out")))}
 
-Fits at 64 px, three turns of each pair; errors are without the part over with it. *By itself*: the program \
-omits the part for such photos; `fit --explain` lists what it omits. *Needed*: an error of maps, under new \
+Fits at 64 px, three turns of each pair. An error is that without the part over that with it. *By itself*: \
+the program omits the part for such photos (`fit --explain`). *Needed*: an error of maps, under new \
 light or of held-out photos grows by more than {COSTS - 1:.0%}; *not needed*: none does and at least \
 {SAVES - 1:.0%} of the seconds are saved.
 

@@ -136,9 +136,9 @@ def page(record: dict) -> str:
 
 {as_markdown(cases(record))}
 
-RMSE of the maps and verdict, {SIDE} px, 20 s, median of three seeds (`direct` has none). In all \
-{len(record["records"])} fits: {words}; {undone} steps were taken back. *Attainable*: standard deviation of \
-an estimate of each texel by itself, with the right views and light.
+RMSE of the maps and verdict, {SIDE} px, 20 s, median of three seeds (`direct` has none), version \
+{record["versions"]["mitsvbrdf"]}. Of {len(record["records"])} fits: {words}; {undone} steps taken back. \
+*Attainable*: standard deviation of an estimate of each texel by itself, with the right views and light.
 
 | verdict | when |
 | --- | --- |
