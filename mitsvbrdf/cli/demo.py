@@ -4,10 +4,10 @@ from pathlib import Path
 
 from ..io import results
 from ..io.progress import print_numbers, say
-from .options import Out, Overwrite
+from .options import Kept, Out, Seconds
 
 
-def demo(out: Out = Path("demo"), budget: float = 75.0, overwrite: Overwrite = True) -> int:
+def demo(out: Out = Path("demo"), budget: Seconds = 75.0, overwrite: Kept = True) -> int:
     """Photograph a made material, recover it, and compare with the truth; about two minutes."""
     from ..evaluate import evaluate_maps
     from ..fit.config import HierarchicalConfig

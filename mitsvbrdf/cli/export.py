@@ -38,7 +38,7 @@ def export(
         "Side of the patch before --tile. Default: that of the sheet in the photos, else unknown."))] = None,
     licence: Annotated[str | None, arg(
         metavar="TEXT", help="Licence of the material, such as CC0-1.0.")] = None,
-    preview: Annotated[bool, arg(help="Draw a sphere that wears the material, beside the formats.")] = True,
+    preview: Annotated[bool, arg(help="Omit the picture of a sphere.", help_behavior_hint="")] = True,
     zip: Annotated[bool, arg(help="Also write each format's folder as FORMAT.zip.")] = False,
     out: Annotated[Path | None, arg(
         aliases=["-o"], help="Folder to write. Default: export inside MAPS.")] = None,
@@ -47,9 +47,8 @@ def export(
     """Write a material for other programs: OUT/FORMAT/, with an export.json that states what each file holds.
 
     gltf is one GLB with its textures. materialx holds a standard_surface and an OpenPBR surface. usd holds a
-    UsdPreviewSurface. mitsuba is a scene. maps are PNG files. Some formats cannot
-    store the whole material. The command prints the loss: RMSE of the maps as linear^(1/2.2), and of pictures
-    under three lights in display values.
+    UsdPreviewSurface. mitsuba is a scene. maps are PNG files. The command prints what a format cannot
+    store: the RMSE of maps as linear^(1/2.2), and of pictures under three lights in display values.
     """
     formats = [part.strip() for part in to.split(",")]
     settings = ExportSettings(options.name_of(maps), naming, normal, bits, licence=licence or None,

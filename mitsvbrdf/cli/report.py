@@ -20,8 +20,7 @@ def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder o
     """Write OUT/report.html, one page about a fit that opens from disk, and its numbers, OUT/report.json.
 
     `fit` writes them too, with fewer checks. This command compares every renderer with the float64 twin, on
-    the fitted maps in the views of the fit, with run times. It also measures how much
-    faster the fit is without the parts that it omits.
+    the fitted maps in the views of the fit. It also measures what the parts that the fit omits would cost.
     """
     from ..capture import read_capture
     from ..fit.result import Fit

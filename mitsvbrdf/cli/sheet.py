@@ -18,8 +18,8 @@ def sheet(out: Annotated[Path,
           overwrite: Overwrite = False) -> int:
     """Write a sheet of AprilTags to print.
 
-    Print it at 100 %, cut the middle out, and lay it around the material. Measure the arrow: its length is
-    the CM of `mitsvbrdf capture --sheet CM`, which then knows where the phone was.
+    Print it at 100 %, cut the middle out, and lay it around the material. Measure the arrow, which is as long
+    as the frame of tags: that is the CM of `mitsvbrdf capture --sheet CM`.
     """
     from ..capture.align.sheet import write_sheet
 

@@ -133,22 +133,21 @@ class HierarchicalConfig(FitConfig):
     highlight_reach: float = 2.0
     """Lobe widths from a highlight at which pixels begin to count less. 0: all count alike. Real photos."""
     remove_burn_in: Switch = True
-    """Remove from specular and roughness what follows the highlights of the photos. Real photos only."""
+    """Removal from specular and roughness of what follows the highlights of the photos. Real photos only."""
     noise: float | None = None
     """Noise of real photos in display values. A higher value keeps less detail. Default: cross-validation."""
     neighbours: Switch = True
-    """Try the values of neighbouring texels as starts."""
+    """Values of neighbouring texels as starts."""
     exact: bool | None = None
-    """The photos follow the model, as simulated ones do. Default: decided by the errors of a first fit."""
+    """Photos follow the model (--exact) or not (--no-exact). Default: the errors of a first fit decide."""
     multi_start: Switch = True
-    """Explain exact photos at many roughnesses, and let texels share the lobes found."""
+    """Many roughnesses as starts for exact photos, and lobes that texels share."""
     stationary: bool | None = None
-    """One photo shows a material that repeats itself, of a few looks. Default: decided by a test."""
+    """One photo shows a material that repeats itself (or --no-stationary). Default: a test decides."""
     calibrate: bool | None = None
-    """Refine the camera and flash of every photo. Default: only for real photos; exact ones fit better
-    without."""
+    """Refine camera and flash of each photo (--calibrate, or --no-calibrate). Default: of real photos."""
     flash_offset: Switch = True
-    """Fit one sideways distance between lens and flash for all photos."""
+    """One sideways distance between lens and flash, fitted for all photos."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +169,7 @@ class HybridConfig(FitConfig):
     flat: float = 0.02
     """Weight of the tilt of the normals."""
     flash_offset: Switch = True
-    """Fit one sideways distance between lens and flash for all photos."""
+    """One sideways distance between lens and flash, fitted for all photos."""
 
 
 @dataclass(frozen=True)

@@ -71,7 +71,7 @@ class GanConfig(FitConfig):
     generator: GeneratorKind = AS_PRESET
     """all-photos: ours. two-stream: the paper's, sees one photo."""
     start: Start | None = AS_PRESET
-    """solved: maps of the default method; guess: if a setting below is given; untrained: the paper's."""
+    """solved: the default method's maps; guess: default beside a setting below; untrained: the paper's."""
     width: int = AS_PRESET
     """Channels of the first convolution of both networks."""
     learning_rate: float = AS_PRESET
@@ -99,7 +99,7 @@ class GanConfig(FitConfig):
     clipping: Switch = AS_PRESET
     """Clip a rendering only where its photo is clipped. Off: everywhere, which stops gradients."""
     grow: Switch = AS_PRESET
-    """Train at a quarter and half the resolution first."""
+    """Training at a quarter and half the resolution first."""
     precision: Precision = "auto"
     """Numbers of the networks; renderer and losses use float32. auto: bfloat16 where it measures faster."""
     adversarial: float = AS_PRESET
@@ -111,7 +111,7 @@ class GanConfig(FitConfig):
     smooth: float = AS_PRESET
     """Weight of the roughness of the specular and roughness maps (total variation)."""
     flash_offset: Switch = AS_PRESET
-    """Fit one sideways distance between lens and flash for all photos. The paper's is 0."""
+    """One sideways distance between lens and flash, fitted for all photos. The paper's is 0."""
 
     def __post_init__(self) -> None:
         """Fill in what the preset has.
