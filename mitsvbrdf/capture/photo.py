@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from ..errors import CaptureError, ConfigError, InputWarning
 from ..io.colour_profile import Profile
@@ -166,15 +167,10 @@ def photos_in(folder: str | Path) -> list[Path]:
 
 
 def of_one_camera(photos: Sequence[Photo]) -> tuple[list[Photo], dict[str, str], list[str]]:
-    """Photos that one lens can explain.
+    """Photos that one lens can explain: those of the size that most have; the reason, by name, of each other
+    photo; and what a user should know of the camera's settings.
 
-    Returns:
-        The photos of the size that most have; the reason, by name, of each other photo; and what a user
-        should know of the camera's settings.
-
-    Raises:
-        CaptureError: RAW files among others.
-        ConfigError: something else than photos.
+    CaptureError: RAW files among others. ConfigError: something else than photos.
     """
     if others := [photo for photo in photos if not isinstance(photo, Photo)]:
         raise ConfigError("photos, each from Photo.open", repr(others[0]),
@@ -238,25 +234,19 @@ def read_exif(path: Path, kind: str) -> dict[str, float | str]:
     it).
     """
     try:
-        from PIL import Image
-
         with opened(path, kind) as image:
             block = Image.Image.getexif(image)  # that of a PNG would decode it
             tags = dict(block.get_ifd(0x8769))
             camera = " ".join(str(block.get(tag, "")).strip("\0 ") for tag in (271, 272)).strip()
-    # no such package, or an EXIF block that cannot be read: the photo itself may still be fine
-    except Exception:
+    except Exception:  # a block that cannot be read: the photo itself may still be fine
         return {}
     found: dict[str, Any] = {}
     for name, tag in NUMBERS.items():
-        value: Any = tags.get(tag)
-        value = value[0] if isinstance(value, tuple) and value else value
-        try:
-            number = float(value)
-        except (TypeError, ValueError, ZeroDivisionError):
-            continue
-        if 0 < number < UNKNOWN:
-            found[name] = number
+        with contextlib.suppress(TypeError, ValueError, ZeroDivisionError, IndexError):
+            value: Any = tags.get(tag)
+            number = float(value[0] if isinstance(value, tuple) else value)
+            if 0 < number < UNKNOWN:
+                found[name] = number
     for name, (tag, words) in WORDS.items():
         value = tags.get(tag)
         if isinstance(value, int):

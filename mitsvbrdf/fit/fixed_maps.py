@@ -9,11 +9,8 @@ import torch
 from torch import Tensor
 
 from ..errors import ConfigError
-from ..material.map_set import read_file
+from ..material.map_set import LEAST_ROUGHNESS, read_file
 from ..material.maps import CHANNELS, SVBRDF, Bsdf, flat
-
-# what half a step of an 8-bit file is read as; a mirror of roughness 0 shows no light at a point
-LEAST_ROUGHNESS = 1 / 512
 
 
 def stated_maps(fix: Sequence[str], bsdf: Bsdf, grey_specular: bool = False) -> dict[str, str]:

@@ -28,9 +28,8 @@ def load(path: Path, kind: type | tuple[type, ...] = dict, links: bool = True) -
 def parsed(text: str | bytes, kind: type | tuple[type, ...] = dict) -> Any:
     """The value of a JSON text, of bytes in UTF-8.
 
-    Raises:
-        ValueError: no JSON, nested too deeply, a key twice in an object, a number that is not finite or that
-            64 bits do not hold, or another type than ``kind``.
+    ValueError: no JSON, nested too deeply, a key twice in an object, a number that is not finite or that 64
+    bits do not hold, or another type than ``kind``.
     """
     odd: list[float] = []
 

@@ -29,11 +29,8 @@ def as_principled(svbrdf: SVBRDF) -> SVBRDF:
     """Base colour (F0 of metals, else diffuse) and metallic (0 or 1); a principled one as it is.
 
     The metallic between 0 and 1 that is nearest to both maps would turn a red card with an F0 of 0.1 into
-    three quarters of a metal, whose colour is in the highlight: under oblique light it is black.
-
-    Returns:
-        A ``principled`` material of the same dtype and normals. Lost are the F0 of what is no metal, which
-        comes out as 0.04, and the diffuse light of metals.
+    three quarters of a metal, whose colour is in the highlight: under oblique light it is black. Lost are the
+    F0 of what is no metal, which comes out as 0.04, and the diffuse light of metals.
     """
     if svbrdf.bsdf == "principled":
         return svbrdf

@@ -152,9 +152,7 @@ class SVBRDF:
     @kinds_checked
     def resized(self, resolution: int) -> SVBRDF:
         """The material at another resolution: area average down, bilinear up; unit normals.
-
-        Raises:
-            ConfigError: a resolution below 1.
+        ConfigError: a resolution below 1.
         """
         if resolution < 1:
             raise ConfigError("a resolution of 1 or more", str(resolution), "ask for e.g. 256")

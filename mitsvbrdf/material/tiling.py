@@ -26,13 +26,9 @@ def seamless(svbrdf: SVBRDF) -> tuple[SVBRDF, float]:
     """The material with edges that meet left to right and top to bottom, all maps cut along the same lines.
 
     The overlap is the one whose best cuts differ least, so that tiles and weaves end where they began; it is
-    the same both ways, and a square stays a square. What is seamless already comes back as it is.
-
-    Returns:
-        The material at its resolution, and which part of its side it now shows.
-
-    Raises:
-        MapsError: fewer than 16 texels a side.
+    the same both ways, and a square stays a square. What is seamless already comes back as it is. Gives the
+    material at its resolution, and which part of its side it now shows. MapsError: fewer than 16 texels a
+    side.
     """
     size = svbrdf.resolution
     if size < 2 * NARROWEST:
@@ -54,8 +50,7 @@ def seamless(svbrdf: SVBRDF) -> tuple[SVBRDF, float]:
 def seam(svbrdf: SVBRDF) -> float:
     """How visible the edges of a repeated material are: 1 is no more than its texels beside them.
 
-    Returns:
-        RMS difference across opposite borders over that of neighbours near them, of the worst map and edge.
+    RMS difference across opposite borders over that of neighbours near them, of the worst map and edge.
     """
     worst = 0.0
     for name, value in svbrdf.maps.items():
