@@ -47,8 +47,14 @@ class Picture(NamedTuple):
     """Pixels of a file as stored."""
 
     pixels: np.ndarray  # H x W x 3, RGB, 8 or 16 bits, in the colours of sRGB
-    opaque: np.ndarray | None = None  # H x W, False where its alpha masks a pixel; None: nowhere
+    alpha: np.ndarray | None = None  # H x W, as stored; None: it has none
     outside: float = 0.0  # share of pixels whose colours lay outside of sRGB
+
+    @property
+    def opaque(self) -> np.ndarray | None:
+        """H x W, False where its alpha masks a pixel; None: nowhere."""
+        opaque = None if self.alpha is None else self.alpha >= OPAQUE * self.alpha.max()
+        return None if opaque is None or opaque.all() else opaque
 
 
 def kind_of(path: Path) -> str:
@@ -114,14 +120,12 @@ def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Pict
             pixels = ~pixels if about.mode == NEGATIVE else pixels
         else:
             pixels = _by_pillow(path, about)
-    opaque, outside = None, 0.0
+    alpha, outside = None, 0.0
     if pixels.shape[2] == 4:
         alpha, pixels = pixels[..., 3], np.ascontiguousarray(pixels[..., :3])
-        opaque = alpha >= OPAQUE * alpha.max()
-        opaque = None if opaque.all() else opaque
     if about.profile and about.profile.icc and not data:
         pixels, outside = to_srgb(pixels, about.profile)
-    return Picture(pixels, opaque, outside)
+    return Picture(pixels, alpha, outside)
 
 
 def _check_boxes(path: Path) -> None:

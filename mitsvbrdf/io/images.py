@@ -30,17 +30,17 @@ BAND = 2**22  # pixels that are averaged at a time
 OUTSIDE = 1e-4  # of the brightest value, what a colour may lie outside of Rec. 709 by rounding
 # What a picture's channels are called; vectors, such as a renderer's normals, have X, Y, Z. Alpha and depth
 # are not read.
-SETS = ("RGB", "rgb", "XYZ", "RG", "XY", "Y", "V", "R")
+SETS = ("RGB", "rgb", "XYZ", "xyz", "RG", "XY", "Y", "V", "R")
 T = TypeVar("T")
 MAIN = "Combined"  # layer of Blender's that holds the picture itself
 
 
-def read_image(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Tensor:
+def read_image(path: Path, error: type[MitsvbrdfError], data: bool = False, alpha: bool = False) -> Tensor:
     """An image file as float32 H x W x C, row 0 at the top, RGB order, turned as its EXIF says.
 
     8- and 16-bit files give display values in [0, 1]; EXR files give what they hold, of one, two or three
-    channels (:func:`read_exr`). Alpha is dropped. Colours are converted to those of sRGB and Rec. 709
-    where the file states others.
+    channels (:func:`read_exr`). Alpha is dropped, or (``alpha``) is all that is read. Colours are converted
+    to those of sRGB and Rec. 709 where the file states others.
 
     Args:
         error: raised where it is missing or unreadable.
@@ -51,7 +51,7 @@ def read_image(path: Path, error: type[MitsvbrdfError], data: bool = False) -> T
             moved to its edge; a colour profile that cannot be used.
     """
     path = Path(path)
-    if path.suffix.lower() == ".exr":
+    if path.suffix.lower() == ".exr" and not alpha:
         linear = torch.from_numpy(read_exr(path, error))
         return linear if data or linear.shape[2] != 3 else _in_rec709(linear, path, error)
     about = header(path, error)
@@ -60,7 +60,11 @@ def read_image(path: Path, error: type[MitsvbrdfError], data: bool = False) -> T
         warnings.warn(f"{path}: {about.profile.name} cannot be used ({about.profile.reason}); the values are "
                       "taken as sRGB; export it as sRGB", InputWarning, stacklevel=2)
     _warn_outside(path, found.outside)
-    return torch.from_numpy(display(upright(found.pixels, about.orientation)))
+    pixels = found.alpha if alpha else found.pixels
+    if pixels is None:
+        raise error("a map in the alpha channel, as the name says", f"{path} without alpha",
+                    "name the file for the one map that it holds")
+    return torch.from_numpy(np.atleast_3d(display(upright(pixels, about.orientation))))
 
 
 def read_exr(path: Path, error: type[MitsvbrdfError]) -> np.ndarray:
@@ -132,7 +136,8 @@ def _picture(names: Sequence[str], path: Path, error: type[MitsvbrdfError]) -> l
         layer, _, channel = name.rpartition(".")
         layers.setdefault(layer, []).append(channel)
     found = {layer: next(list(wanted) for wanted in SETS if set(wanted) <= set(channels))
-             for layer, channels in layers.items() if any(set(wanted) <= set(channels) for wanted in SETS)}
+             for layer, channels in layers.items() if any(set(wanted) <= set(channels) for wanted in SETS)
+             and "RY" not in channels}  # luminance of a picture whose colours RY and BY hold
     if not found and len(names) == 1:
         return list(names)
     main = [layer for layer in found if layer in ("", MAIN) or layer.endswith(f".{MAIN}")] or list(found)

@@ -17,6 +17,7 @@ from .map_set import LEAST_ROUGHNESS, MapSet
 from .maps import DIELECTRIC_F0
 from .naming import Source
 
+BLACK = [0, 0, 0]
 LARGEST = 2**30  # bytes of a file
 
 
@@ -86,9 +87,8 @@ def _found(path: Path, document: dict, material: dict, binary: bytes, spare: Pat
                            factor=_numbers([surface.get("metallicFactor", 1)])),
         "roughness": Source(packed, 1 if packed else None, factor=(
             max(*_numbers([surface.get("roughnessFactor", 1)]), LEAST_ROUGHNESS),)),
-        "normal": Source(texture(material.get("normalTexture"), "normal"))}
-    if found["normal"].path is None:
-        found["normal"] = Source(None, factor=(0.0, 0.0, 1.0))
+        "normal": Source(texture(material["normalTexture"], "normal")) if "normalTexture" in material else
+                  Source(None, factor=(0.0, 0.0, 1.0))}
     if "KHR_materials_specular" in more or "KHR_materials_ior" in more:
         specular = more.get("KHR_materials_specular", {})
         index = more.get("KHR_materials_ior", {}).get("ior", 1.5)
@@ -99,7 +99,8 @@ def _found(path: Path, document: dict, material: dict, binary: bytes, spare: Pat
         found["f0"] = Source(texture(specular.get("specularColorTexture"), "specular_color"), factor=tuple(
             level * x for x in _numbers(specular.get("specularColorFactor", (1, 1, 1)))))
     lacking = [*(set(more) - {"KHR_materials_specular", "KHR_materials_ior"}),
-               *({"emissiveTexture"} & set(material)), *({"BLEND", "MASK"} & {material.get("alphaMode")})]
+               *(key for key in ("emissiveTexture", "emissiveFactor") if material.get(key, BLACK) != BLACK),
+               *({"BLEND", "MASK"} & {material.get("alphaMode")})]
     meshes = [each for mesh in document.get("meshes", []) for each in mesh["primitives"]]
     lacking += ["colours of vertices"] * any("COLOR_0" in each["attributes"] for each in meshes)
     return MapSet(path, found, {"normal": "gl", "f0": "srgb"}, way="--encoding {}", remarks=(

@@ -33,12 +33,9 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
               normal: NormalConvention | None = None) -> SVBRDF:
     """Read a set of maps.
 
-    Understood: our own folders, and names of libraries and programs (Poly Haven, ambientCG, Substance, glTF;
-    words of :mod:`mitsvbrdf.material.naming`) with prefixes, sizes and packed channels; the field's four
-    images named diffuse, specular, roughness, normal or dif, spe, rgh, nom; its strips of maps side by side,
-    the normals second (MaterialGAN; gamma 2.2) or first (Deschaintre; linear), also after an input photo.
-    EXR is preferred over PNG. A folder that has ``maps/`` inside, or no maps but ``textures/``, stands for
-    that.
+    Understood: our own folders, and names of libraries and programs (words of ``names.toml``) with prefixes,
+    sizes and packed channels; the field's four images and strips. EXR is preferred over PNG. A folder that
+    has ``maps/`` inside, or no maps but ``textures/``, stands for that. docs/formats.md has the list.
 
     Args:
         folder: the folder (of a strip: as ``tex.png`` or ``strip.png``), or a .glb, .gltf or .mtlx file of
@@ -46,8 +43,8 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
         bsdf: which set to read where both are there; default: what material.json says, else ``principled``
             where base_color and metallic are there. A specular level makes that a ``roughconductor``.
         encoding: of files of 8 and 16 bits: ``linear``, ``gamma 2.2`` or ``srgb``, or by map
-            ``roughness=linear,diffuse=srgb``; default: what material.json says, else gamma 2.2 for the
-            field's names, and for all others colours sRGB, the rest linear. EXR is linear.
+            ``roughness=linear,diffuse=srgb``; default: what material.json says, else a profile, else gamma
+            2.2 for the field's names, and for all others colours sRGB, the rest linear. EXR is linear.
         normal: ``gl`` (+Y up) or ``dx`` (+Y down); default: what material.json or the name says, else
             what the curl of the slopes says, else ``gl``.
 
@@ -68,7 +65,10 @@ def _found(path: Path, encoding: str | None, normal: NormalConvention | None = N
     asked = asked_codes(encoding, normal)
     with contextlib.ExitStack() as last:
         found = _set_of(path, last)
-        yield found._replace(stated=dict(found.stated) | asked)
+        exr = [name for name, source in found.sources.items() if asked.get(name) in ("srgb", "gamma 2.2")
+               and source.path and source.path.suffix.lower() == ".exr"]
+        said = (f"EXR is linear, and --encoding does not count: {', '.join(exr)}",) if exr else ()
+        yield found._replace(stated=dict(found.stated) | asked, remarks=(*found.remarks, *said))
 
 
 def _set_of(path: Path, last: contextlib.ExitStack) -> MapSet:
@@ -103,10 +103,7 @@ def save_maps(svbrdf: SVBRDF, folder: str | Path) -> SVBRDF:
     """Write float32 EXR masters (linear), 16-bit PNGs (colours sRGB, the rest linear), material.json.
 
     Normals are (n + 1) / 2 in both. A principled material also gets its diffuse and specular maps, for tools
-    that want those.
-
-    Returns:
-        The material as :func:`load_maps` reads it: its normals have made a round trip.
+    that want those. Gives the material as :func:`load_maps` reads it: its normals have made a round trip.
     """
     folder = Path(folder)
     svbrdf = svbrdf.detach()

@@ -16,7 +16,7 @@ from ..io.decode import header
 from .conversion import FULL_LEVEL, as_shown
 from .encoding import ENCODINGS, read_material_json
 from .maps import CHANNELS, COLOURS, SVBRDF, Bsdf, finite
-from .naming import FIELD, Source, is_of_field, kind_of, sources
+from .naming import ALPHA, FIELD, Source, is_of_field, kind_of, named_sources, sources
 from .normals import OVERRULE, unit_normals
 from .resample import resized
 
@@ -48,16 +48,22 @@ class MapSet(NamedTuple):
     way: str = OVERRULE  # how the user overrules an encoding, which stands in {}
 
     def code(self, name: str) -> str:
-        """The encoding of a map's 8- and 16-bit file, or the convention of normals."""
-        usual = ENCODINGS[self.habit].get(name, "" if name == "normal" else "linear")
-        return self.stated.get(name, usual)
+        """The encoding of a map's 8- and 16-bit file, or the convention of normals. A profile of its colours,
+        from which it is converted to sRGB, goes before a habit.
+        """
+        usual, path = ENCODINGS[self.habit], self.sources.get(name, Source(None)).path
+        if name in COLOURS and path and path.suffix.lower() != ".exr":
+            profile = header(path, MapsError).profile
+            usual = ENCODINGS["srgb"] if profile and profile.icc else usual
+        return self.stated.get(name, usual.get(name, "" if name == "normal" else "linear"))
 
-    def read(self, name: str, channels: int, source: Source | None = None) -> Tensor:
+    def read(self, name: str, channels: int) -> Tensor:
         """A map, linear, H x W x channels; 1 x 1 of a constant."""
-        source = source or self.sources[name]
+        source = self.sources[name]
         if source.path is None:
             return torch.tensor(source.factor).expand(1, 1, channels)
-        value = read_map(source, name, channels, self.code(name), self.way)
+        document = self.place.is_file() and source.part is None  # which alone says what colours are
+        value = read_map(source, name, channels, self.code(name), self.way, document)
         return value if source.factor == (1.0,) else value * torch.tensor(source.factor)
 
 
@@ -73,27 +79,21 @@ def find_maps(folder: Path) -> MapSet:
         folder = folder / "textures"
         chosen, passed = sources(folder)
     about = read_material_json(folder)
-    named = (path for name in STRIPS if (path := folder / name).is_file())
-    strip = next(named, passed[0] if len(passed) == 1 and not chosen and _is_strip(passed[0]) else None)
+    strip = next((path for name in STRIPS if (path := folder / name).is_file()), None)
+    if not strip and len(passed) == 1 and not chosen:  # the only picture, if it is four or five squares
+        width, height = header(passed[0], MapsError).size
+        strip = passed[0] if width in (4 * height, 5 * height) else None
     if "diffuse" not in chosen and strip and about.get("bsdf") != "principled":
         return strip_set(strip, about.get("encoding", {}))
     return MapSet(folder, chosen, about.get("encoding", {}), "gamma 2.2" if is_of_field(chosen) else "srgb",
                   about.get("bsdf"), tuple(path.name for path in passed))
 
 
-def _is_strip(path: Path) -> bool:
-    """Whether the only picture of a folder is four or five squares side by side."""
-    width, height = header(path, MapsError).size
-    return width in (4 * height, 5 * height)
-
-
 def strip_set(path: Path, stated: Mapping[str, str]) -> MapSet:
     """Four square maps side by side in one file, or five pictures of which the last four are maps.
 
     The normals tell the order: of the first two maps they are the one that is more as flat ones are.
-
-    Raises:
-        MapsError: another number of squares.
+    MapsError: another number of squares.
     """
     image = images.read_image(path, MapsError, data=True)
     side, count = image.shape[0], image.shape[1] // image.shape[0]
@@ -103,7 +103,8 @@ def strip_set(path: Path, stated: Mapping[str, str]) -> MapSet:
     usual = image.mean(dim=0).reshape(count, side, -1).mean(dim=1)[-4:]
     order, habit = ORDERS[int((usual[:2] - torch.tensor(FLAT)[:image.shape[2]]).abs().sum(dim=1).argmin())]
     parts = {name: Source(path, part=count - 4 + k) for k, name in enumerate(order)}
-    return MapSet(path, parts, stated, habit, "roughconductor")
+    said = f"its last four squares are {', '.join(order)}"
+    return MapSet(path, parts, stated, habit, "roughconductor", remarks=(said,))
 
 
 def read_set(found: MapSet, bsdf: Bsdf | None = None) -> SVBRDF:
@@ -113,15 +114,16 @@ def read_set(found: MapSet, bsdf: Bsdf | None = None) -> SVBRDF:
     beside = {"diffuse", "specular", "base_color"} <= set(there)  # both parameter sets
     if _has_lobes(found) or asked == "roughconductor" and beside:
         there |= {"diffuse": there.get("diffuse", colour)} if colour else {}
-        return _read(found, there, asked or "roughconductor")
+        return _read(found._replace(sources=there), asked or "roughconductor")
     there |= {"base_color": colour} if colour else {}
     there.setdefault("metallic", Source(None, factor=(0.0,)))
     if level := there.get("specular_level") or there.get("specular"):
         there.setdefault("f0", level._replace(factor=(FULL_LEVEL,)))
+    found = found._replace(sources=there)
     if "f0" not in there or beside or asked == "principled":
-        material = _read(found, there, "principled")
+        material = _read(found, "principled")
         return material.as_roughconductor() if asked == "roughconductor" else material
-    return _read(found, there, "principled", "f0")
+    return _read(found, "principled", "f0")
 
 
 def _has_lobes(found: MapSet) -> bool:
@@ -134,22 +136,22 @@ def _has_lobes(found: MapSet) -> bool:
     specular = there.get("specular")
     if specular is None or specular.path is None or "metallic" in there:
         return False
-    return there["roughness"].inverted if "roughness" in there else _tint(
-        images.read_image(specular.path, MapsError)) > TINT
+    gloss = "roughness" in there and there["roughness"].inverted
+    return gloss or _tint(images.read_image(specular.path, MapsError)) > TINT
 
 
-def _read(found: MapSet, there: Mapping[str, Source], bsdf: Bsdf, f0: str = "") -> SVBRDF:
+def _read(found: MapSet, bsdf: Bsdf, f0: str = "") -> SVBRDF:
     """The maps of a parameter set; with ``f0`` those that a base colour shows beside it."""
-    channels = dict(CHANNELS[bsdf])
+    channels, there = dict(CHANNELS[bsdf]), found.sources
     for name in channels:
         if name not in there:
-            files = ", ".join([s.path.name for s in found.sources.values() if s.path] + [*found.passed])
+            here = ", ".join(dict.fromkeys([*(s.path.name for s in there.values() if s.path), *found.passed]))
             raise MapsError(f"{name}.exr, {name}.png or {name}.jpg",
-                            f"none in {found.place}" + f" ({files})" * bool(files),
+                            f"none in {found.place}" + f" ({here})" * bool(here),
                             f"a {bsdf} material needs {', '.join(CHANNELS[bsdf])}")
     if f0:
         channels[f0] = len(there[f0].factor)
-    read = {name: found.read(name, count, there[name]) for name, count in channels.items()}
+    read = {name: found.read(name, count) for name, count in channels.items()}
     maps = _of_one_size(found, read)
     _say(found, {name: there[name] for name in channels}, maps)
     if not f0:
@@ -176,15 +178,15 @@ def _say(found: MapSet, used: Mapping[str, Source], maps: Mapping[str, Tensor]) 
     coded = {name: found.code(name) for name, file in named.items()
              if name != "normal" and name not in found.stated and not file.lower().endswith(".exr")}
     said = []
-    if coded and found.habit == "gamma 2.2":
+    if found.habit == "gamma 2.2" in coded.values() and "srgb" not in coded.values():
         said.append(f"{', '.join(coded)} taken for gamma 2.2, as the field has these names")
         f0 = float(maps["specular"].median())
         if "specular" in coded and f0 < LOWEST_F0 < float(linear := color.encode(maps["specular"].median())):
             said.append(f"an F0 of {f0:.2g} is below that of any material, as linear it is {linear:.2g}")
     elif coded or found.place.is_file():
-        said.append("read " + ", ".join(
+        said.append("read " + (", ".join(
             f"{name} {file}" + f" ({found.code(name)})" * (name != "normal" and not file.endswith(".exr"))
-            for name, file in named.items()))
+            for name, file in named.items()) or "numbers alone"))
     if "f0" in used and used["f0"].factor == (FULL_LEVEL,):
         said.append(f"F0 is {FULL_LEVEL:g} times the specular level")
     normal = used.get("normal", Source(None))
@@ -194,6 +196,9 @@ def _say(found: MapSet, used: Mapping[str, Source], maps: Mapping[str, Tensor]) 
             kind_of(normal.path.stem)[-1:] == ("normal dx",)):
         said.append("normals are OpenGL's as the format has them, whatever their name; --normal dx overrules")
     said += found.remarks
+    packed = {source.path for source in used.values() if source.channel == ALPHA}
+    said += [f"passed over the alpha of {path.name}" for path in {s.path for s in used.values()} - packed
+             if path and path.suffix.lower() != ".exr" and header(path, MapsError).mode == "RGBA"]
     missing = [name for name, source in used.items() if source.path is None and not found.place.is_file()]
     said += [f"no {name} map, so it is 0" for name in missing]
     if said and found.passed:
@@ -205,25 +210,26 @@ def _say(found: MapSet, used: Mapping[str, Source], maps: Mapping[str, Tensor]) 
 
 def read_file(path: Path, name: str, channels: int) -> Tensor:
     """One map from a file of any name: as in a set of its own, with ``material.json`` beside it."""
-    kinds = kind_of(path.stem)
-    mark = kinds[-1].partition(" ")[2] if kinds else ""
-    channel = kinds.index(name) if len(kinds) > 1 and name in kinds else None
-    source = Source(path, channel, "glossiness" in kinds and name == "roughness", mark)
-    plain = not kinds or path.stem.lower() in FIELD.get(name, ())
-    found = MapSet(path.parent, {name: source}, read_material_json(path.parent).get("encoding", {}),
+    held = named_sources(path)
+    plain = not held or path.stem.lower() in FIELD.get(name, ())
+    stated = read_material_json(path.parent).get("encoding", {})
+    found = MapSet(path.parent, {name: held.get(name, Source(path))}, stated,
                    "gamma 2.2" if plain else "srgb", way="encoding {} in a material.json beside it")
     value = found.read(name, channels)
     _say(found, found.sources, {name: value, "specular": value})
     return value
 
 
-def read_map(source: Source, name: str, channels: int, code: str, way: str = OVERRULE) -> Tensor:
+def read_map(source: Source, name: str, channels: int, code: str, way: str = OVERRULE, document: bool = False
+             ) -> Tensor:
     """One map from its file, linear, H x W x ``channels``. ``code`` is the encoding of a file of 8 or 16
-    bits; of normals ``gl``, ``dx`` or empty.
+    bits; of normals ``gl``, ``dx`` or empty. Beside another one than sRGB, and in a ``document``, a profile
+    of the file does not count.
     """
     assert source.path is not None
     path, exr = source.path, source.path.suffix.lower() == ".exr"
-    image = images.read_image(path, MapsError, data=name not in COLOURS)
+    data = name not in COLOURS or not exr and (document or code != "srgb")
+    image = images.read_image(path, MapsError, data, source.channel == ALPHA)
     if source.part is not None:
         side = image.shape[0]
         image = image[:, source.part * side:(source.part + 1) * side]
@@ -231,9 +237,9 @@ def read_map(source: Source, name: str, channels: int, code: str, way: str = OVE
         raise MapsError("finite values", f"NaN or infinity in {path}", "mend or re-export the map")
     if name == "normal":
         return unit_normals(image, path, code or source.convention, way)
-    if image.shape[2] == 2 or source.channel and image.shape[2] != 3:
+    if image.shape[2] == 2 or source.channel in (1, 2) and image.shape[2] != 3:
         raise MapsError(f"{name} in 1 or 3 channels", f"{path} with {image.shape[2]}", "export it as RGB")
-    if source.channel is not None:
+    if source.channel is not None and image.shape[2] > 1:
         image = image[..., source.channel:source.channel + 1].contiguous()
     elif channels == 1 and (tint := _tint(image)) > TINT:
         raise MapsError(f"{name} in grey", f"{path} in colours that differ by {tint:.2g}",

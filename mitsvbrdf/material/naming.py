@@ -19,6 +19,7 @@ FIELD = {"diffuse": ("diffuse", "dif"), "specular": ("specular", "spe"), "roughn
 # Of images, the best first.
 SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".tga", ".bmp", ".hdr")
 
+_CODES = NAMES["encodings"]["srgb"]
 _CONVENTIONS = {"gl": ("gl", "opengl", "ogl"), "dx": ("dx", "directx", "d3d")}
 KINDS = {word: kind for kind, words in NAMES["words"].items() for word in words.split()} | {
     join: f"normal {convention}" for convention, marks in _CONVENTIONS.items() for mark in marks
@@ -27,8 +28,10 @@ KINDS = {word: kind for kind, words in NAMES["words"].items() for word in words.
 _LETTERS = {"o": "occlusion", "a": "occlusion", "r": "roughness", "m": "metallic"}
 PACKED = {word: tuple(_LETTERS[letter] for letter in word)
           for word in ("arm", "orm", "rma", "rmo", "mra", "mro", "ram", "rom", "mar", "mor", "amr", "omr")}
+PACKED["maskmap"] = "metallic", "occlusion", "other", "glossiness"  # of Unity
 SIZES = re.compile(r"(?i)(?<![a-z0-9])(\d{1,2}k|\d{3,4}(x\d{3,4})?|jpe?g|png|exr|tiff?)(?![a-z0-9])")
 GLTF_PACKED = "other", "roughness", "metallic"
+ALPHA = 3  # the channel of it
 
 
 class Source(NamedTuple):
@@ -43,12 +46,13 @@ class Source(NamedTuple):
 
 
 def kind_of(stem: str, dropped: int = 0) -> tuple[str, ...]:
-    """The map that a file's name (without suffix) means, or those of its three channels; nothing where it
-    means none. So many words at its beginning are not looked at.
+    """The map that a file's name (without suffix) means, or those of its three or four channels; nothing
+    where it means none. So many words at its beginning are not looked at.
     """
     parts = words(stem)[dropped:]
-    if parts and parts[-1] in PACKED:
-        return PACKED[parts[-1]]
+    for end in (1, 2):
+        if (packed := "".join(parts[-end:])) in PACKED:
+            return PACKED[packed]
     kinds: list[str] = []
     end = len(parts)
     while end:
@@ -62,7 +66,10 @@ def kind_of(stem: str, dropped: int = 0) -> tuple[str, ...]:
             end -= 1
     if {"roughness", "metallic"} <= set(kinds):
         return tuple(kinds[-3:]) if "occlusion" in kinds[-3:] else GLTF_PACKED
-    return ("other",) if "other" in kinds else tuple(kinds[-1:])
+    if "other" in kinds:
+        return ("other",)
+    gloss = kinds[1:] and kinds[-1] == "glossiness"  # beside another map: Unity has it in the alpha
+    return (kinds[-2], "other", "other", "glossiness") if gloss else tuple(kinds[-1:])
 
 
 def words(stem: str) -> list[str]:
@@ -78,17 +85,14 @@ def sources(folder: Path) -> tuple[dict[str, Source], list[Path]]:
     Names that the files have in common, such as the material's, mean nothing: ``rusty_metal_rough`` beside
     ``rusty_metal_diff`` is a roughness.
     """
-    images = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.is_file())
+    images = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.name[0] != "."
+                    and p.is_file())
     common = _in_common([path.stem for path in images if kind_of(path.stem)])
     found: dict[str, dict[tuple, list[Source]]] = {}
     for path in images:
-        kinds = kind_of(path.stem, common)
-        for channel, kind in enumerate(kinds):
-            map_name, _, convention = kind.partition(" ")
-            name = "roughness" if map_name == "glossiness" else map_name
-            source = Source(path, channel if len(kinds) > 1 else None, kind == "glossiness", convention)
+        for name, source in named_sources(path, common).items():
             plain = FIELD.get(name, (name,))
-            rank = (convention == "dx", len(kinds) > 1, source.inverted,
+            rank = (source.convention == "dx", source.channel is not None, source.inverted,
                     plain.index(path.stem.lower()) if path.stem.lower() in plain else len(plain),
                     SUFFIXES.index(path.suffix.lower()))
             found.setdefault(name, {}).setdefault(rank, []).append(source)
@@ -104,18 +108,27 @@ def sources(folder: Path) -> tuple[dict[str, Source], list[Path]]:
     return chosen, [path for path in images if path not in {source.path for source in chosen.values()}]
 
 
+def named_sources(path: Path, dropped: int = 0) -> dict[str, Source]:
+    """The maps that a file holds by its name (:func:`kind_of`)."""
+    kinds = [kind.partition(" ") for kind in kind_of(path.stem, dropped)]
+    return {"roughness" if name == "glossiness" else name: Source(
+        path, k if len(kinds) > 1 and _CODES.get(name) != "srgb" else None, name == "glossiness", convention)
+        for k, (name, _, convention) in enumerate(kinds)}
+
+
 def _in_common(stems: list[str]) -> int:
     """How many words all names begin with; one that has no other word is a preview."""
     each = sorted(map(words, stems), key=len)
     first = os.path.commonprefix(each)
     if len(each) > 2 and len(each[1]) > len(each[0]) == len(first):
         return len(first)
-    shared = range(len(first), 0, -1)
-    return next((k for k in shared if len(stems) > 1 and all(kind_of(stem, k) for stem in stems)), 0)
+    shared = range(len(first), 0, -1) if len(stems) > 1 else ()
+    return next((k for k in shared if 2 * sum(bool(kind_of(stem, k)) for stem in stems) > len(stems)), 0)
 
 
 def is_of_field(chosen: Mapping[str, Source]) -> bool:
     """Whether the files have the field's plain names: their maps then are diffuse and specular."""
     plain = {name: name if source.part is not None else source.path.stem.lower()
              for name, source in chosen.items() if source.path}
-    return "diffuse" in plain and all(plain[name] in names for name, names in FIELD.items() if name in plain)
+    return "diffuse" in plain and "base_color" not in plain and all(
+        plain[name] in names for name, names in FIELD.items() if name in plain)

@@ -121,6 +121,19 @@ def test_the_combined_layer_is_preferred_and_others_are_asked_for(tmp_path):
         read_image(written(tmp_path / "b.exr", layers), MapsError)
 
 
+def test_luminance_beside_its_colours_is_no_grey_picture(tmp_path):
+    """Luminance and chroma, as OpenEXR's RgbaOutputFile writes them with WRITE_YC."""
+    path = written(tmp_path / "x.exr", {"Y": RED, "RY": GREEN, "BY": BLUE})
+    with pytest.raises(MapsError, match="R, G, B or one channel.*'BY', 'RY', 'Y'"):
+        read_image(path, MapsError)
+
+
+@pytest.mark.parametrize("names", ["XYZ", "xyz"])
+def test_vectors_are_read_in_either_case(names, tmp_path):
+    path = written(tmp_path / "x.exr", {f"n.{name}": plane for name, plane in zip(names, (RED, GREEN, BLUE))})
+    assert np.array_equal(read_image(path, MapsError).numpy(), np.stack((RED, GREEN, BLUE), axis=-1))
+
+
 @pytest.mark.parametrize("kinds", ["hhhf", "fhhh", "hffh"])
 def test_channels_of_several_kinds_are_read(kinds, tmp_path):
     planes = [plane.astype({"h": np.float16, "f": np.float32}[kind])

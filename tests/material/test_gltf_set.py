@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 import torch
+from helpers.colour_files import save_in
 from PIL import Image
 
 from mitsvbrdf.errors import AssumedWarning, MapsError
@@ -76,6 +77,7 @@ def of_base(transform=None, other=None, **material):
     (of_base({"scale": [2, 2]}, {"scale": [2, 2]}), r"passed over scale \[2, 2\]"),
     (of_base(alphaMode="MASK", extensions={"KHR_materials_clearcoat": {}}, emissiveTexture={"index": 0}),
      "passed over KHR_materials_clearcoat; passed over MASK; passed over emissiveTexture"),
+    (of_base(emissiveFactor=[0, 0.5, 0]), "passed over emissiveFactor"),
     (of_base({"offset": [0.0, 0.0], "rotation": 0, "scale": [1, 1]}), None),
     (of_base({"rotation": 1.5}), MapsError), (of_base(None, {"texCoord": 1}), MapsError),
     (of_base(extensions={"KHR_materials_pbrSpecularGlossiness": {}}), MapsError)])
@@ -92,6 +94,17 @@ def test_what_a_material_does_not_have_is_said(material, said, tmp_path):
         return
     with pytest.warns(AssumedWarning, match=said or "normal n.webp; --enc"):
         assert load_maps(path)["normal"][0, 0, 2] > 0.999
+
+
+def test_profiles_of_textures_do_not_count(tmp_path):
+    """glTF 2.0: colour-space information of images must be ignored."""
+    path = written(tmp_path, pbrMetallicRoughness={"baseColorTexture": {"index": 0}, "metallicFactor": 0})
+    save_in(tmp_path / "orm map.png", np.full((8, 8, 3), 0.5), "ProPhoto")
+    stored = np.asarray(Image.open(tmp_path / "orm map.png"))[0, 0] / 255
+    with pytest.warns(AssumedWarning):
+        found = load_maps(path)["base_color"][0, 0]
+    assert found.tolist() == pytest.approx((((stored + 0.055) / 1.055) ** 2.4).tolist(), abs=1e-6)
+    assert abs(float(found[0]) - 0.2140) > 0.02  # what the profile says: display value 0.5
 
 
 def test_ktx2_alone_is_one_error(tmp_path):

@@ -6,6 +6,7 @@ import warnings
 import numpy as np
 import pytest
 import torch
+from helpers.map_files import UP, written
 from PIL import Image
 
 from mitsvbrdf import cli
@@ -15,65 +16,7 @@ from mitsvbrdf.fit.fixed_maps import fixed_maps
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import load_maps, save_maps
 from mitsvbrdf.material.maps import flat
-from mitsvbrdf.material.naming import FILE_NAMES, sources
-
-# File lists of downloads; the value is the file (and channel) of each map.
-SETS = {
-    "Poly Haven": ("rusty_metal_02_ao_1k.png rusty_metal_02_arm_1k.png rusty_metal_02_diff_1k.png "
-                   "rusty_metal_02_disp_1k.png rusty_metal_02_metal_1k.png rusty_metal_02_nor_dx_1k.png "
-                   "rusty_metal_02_nor_gl_1k.png rusty_metal_02_rough_1k.png",
-                   "diffuse=rusty_metal_02_diff_1k.png metallic=rusty_metal_02_metal_1k.png "
-                   "normal=rusty_metal_02_nor_gl_1k.png roughness=rusty_metal_02_rough_1k.png"),
-    "Poly Haven of glTF": ("brick_arm_2k.jpg brick_diff_2k.jpg brick_nor_gl_2k.jpg",
-                           "diffuse=brick_diff_2k.jpg normal=brick_nor_gl_2k.jpg "
-                           "roughness=brick_arm_2k.jpg:1 metallic=brick_arm_2k.jpg:2"),
-    "ambientCG": ("Metal046B.png Metal046B_1K-JPG_Color.jpg Metal046B_1K-JPG_Displacement.jpg "
-                  "Metal046B_1K-JPG_Metalness.jpg Metal046B_1K-JPG_NormalDX.jpg "
-                  "Metal046B_1K-JPG_NormalGL.jpg "
-                  "Metal046B_1K-JPG_Roughness.jpg",
-                  "base_color=Metal046B_1K-JPG_Color.jpg metallic=Metal046B_1K-JPG_Metalness.jpg "
-                  "normal=Metal046B_1K-JPG_NormalGL.jpg roughness=Metal046B_1K-JPG_Roughness.jpg"),
-    "Substance": ("Wood_BaseColor.png Wood_Height.png Wood_Metallic.png Wood_Normal_DirectX.png "
-                  "Wood_Roughness.png", "base_color=Wood_BaseColor.png metallic=Wood_Metallic.png "
-                  "normal=Wood_Normal_DirectX.png roughness=Wood_Roughness.png"),
-    "Substance for Unreal": ("T_Wood_BaseColor.png T_Wood_Normal.png T_Wood_OcclusionRoughnessMetallic.png",
-                             "base_color=T_Wood_BaseColor.png normal=T_Wood_Normal.png roughness="
-                             "T_Wood_OcclusionRoughnessMetallic.png:1 metallic="
-                             "T_Wood_OcclusionRoughnessMetallic.png:2"),
-    "glTF's samples": ("Default_albedo.jpg Default_AO.jpg Default_emissive.jpg Default_metalRoughness.jpg "
-                       "Default_normal.jpg", "base_color=Default_albedo.jpg normal=Default_normal.jpg "
-                       "roughness=Default_metalRoughness.jpg:1 metallic=Default_metalRoughness.jpg:2"),
-    "roughness first": ("x_col.png x_rma.png x_nrm.png", "base_color=x_col.png normal=x_nrm.png "
-                        "roughness=x_rma.png:0 metallic=x_rma.png:1"),
-    "gloss": ("Tiles_COLOR.jpg Tiles_GLOSS.jpg Tiles_NORM.jpg Tiles_SPEC.jpg",
-              "base_color=Tiles_COLOR.jpg roughness=Tiles_GLOSS.jpg normal=Tiles_NORM.jpg "
-              "specular=Tiles_SPEC.jpg"),
-}
-
-
-@pytest.mark.parametrize("library", SETS)
-def test_files_are_known_by_their_names(library, tmp_path):
-    files, wanted = SETS[library]
-    for file in files.split():
-        (tmp_path / file).touch()
-    found, passed = sources(tmp_path)
-    assert {f"{name}={source.path.name}" + f":{source.channel}" * (source.channel is not None)
-            for name, source in found.items()} == set(wanted.split())
-    assert found["roughness"].inverted == (library == "gloss")
-    assert found["normal"].convention == {"Poly Haven": "gl", "Poly Haven of glTF": "gl", "ambientCG": "gl",
-                                          "Substance": "dx"}.get(library, "")
-    assert {path.name for path in passed} == set(files.split()) - {s.path.name for s in found.values()}
-
-
-def written(folder, **images):
-    """PNG files of these numbers of 255: a grey level, or a colour."""
-    folder.mkdir(parents=True, exist_ok=True)
-    for name, value in images.items():
-        Image.fromarray(np.full((8, 8, 3), value, np.uint8)).save(folder / f"{name}.png")
-    return folder
-
-
-UP = (128, 128, 255)
+from mitsvbrdf.material.naming import FILE_NAMES
 
 
 @pytest.mark.parametrize("bsdf", ["roughconductor", "principled"])
@@ -126,6 +69,26 @@ def test_gloss_is_one_minus_roughness_and_a_coloured_specular_is_f0(tmp_path):
     assert found["specular"][0, 0, 1] == pytest.approx(((188 / 255 + 0.055) / 1.055) ** 2.4, abs=1e-6)
 
 
+@pytest.mark.parametrize("ending, code", [("roughness", 204), ("gloss", 51)])
+def test_a_coloured_specular_is_f0_beside_roughness_too(ending, code, tmp_path):
+    colours = dict(t_Diffuse=100, t_Normal=UP, t_Specular=(255, 188, 100))
+    folder = written(tmp_path, **colours, **{f"t_{ending}": code})
+    with pytest.warns(AssumedWarning):
+        found = load_maps(folder)
+    assert found.bsdf == "roughconductor" and found["roughness"][0, 0, 0] == pytest.approx(0.8, abs=1e-6)
+    assert found["specular"][0, 0, 1] == pytest.approx(((188 / 255 + 0.055) / 1.055) ** 2.4, abs=1e-6)
+
+
+def test_both_parameter_sets_with_plain_names_are_those_of_libraries(tmp_path):
+    """As in MatSynth: basecolor and metallic beside diffuse and specular; colours sRGB, the rest linear."""
+    folder = written(tmp_path, basecolor=188, diffuse=128, specular=60, metallic=20, roughness=117, normal=UP)
+    for bsdf, name, level in (("principled", "base_color", 188), ("roughconductor", "diffuse", 128)):
+        with pytest.warns(AssumedWarning, match="roughness.png .linear"):
+            found = load_maps(folder, bsdf)
+        assert found["roughness"][0, 0].item() == pytest.approx(117 / 255)
+        assert found[name][0, 0, 0].item() == pytest.approx(((level / 255 + 0.055) / 1.055) ** 2.4, abs=1e-6)
+
+
 def test_the_fields_names_keep_gamma_and_say_so(tmp_path):
     folder = written(tmp_path, diffuse=128, specular=11, roughness=117, normal=UP)
     with pytest.warns(AssumedWarning, match="gamma 2.2.*F0 of 0.00099 is below.*as linear it is 0.043"):
@@ -164,12 +127,6 @@ def test_misspellings_are_answered_with_file_and_key(about, words, tmp_path):
 def test_misspelt_options_are_refused(encoding, tmp_path):
     with pytest.raises(ConfigError, match="--encoding"):
         load_maps(written(tmp_path, diffuse=128, specular=60, roughness=128, normal=UP), encoding=encoding)
-
-
-def test_two_materials_in_a_folder_are_refused(tmp_path):
-    written(tmp_path, brick_diff=128, wood_diff=128, brick_rough=128, brick_nor_gl=UP)
-    with pytest.raises(MapsError, match="one diffuse map.*brick_diff.png and wood_diff.png"):
-        load_maps(tmp_path)
 
 
 @pytest.mark.parametrize("files, word", [
@@ -218,7 +175,8 @@ def test_a_strip_is_read_in_the_order_that_its_normals_tell(order, photo, tmp_pa
     Image.fromarray(np.concatenate(squares, axis=1)).save(path)
     power = {"NDRS": 1.0, "DNRS": 2.2}[order]
     for given in (path, tmp_path):
-        with pytest.warns(AssumedWarning, match={"NDRS": "linear", "DNRS": "gamma 2.2"}[order]):
+        said = {"NDRS": "linear.*are normal, diffuse", "DNRS": "gamma 2.2.*are diffuse, normal"}[order]
+        with pytest.warns(AssumedWarning, match=said):
             found = load_maps(given)
         assert found["normal"][..., 2].min() > 0.999
         for letter, name in {"D": "diffuse", "R": "roughness", "S": "specular"}.items():
