@@ -237,8 +237,10 @@ def read_map(source: Source, name: str, channels: int, code: str, way: str = OVE
         raise MapsError("finite values", f"NaN or infinity in {path}", "mend or re-export the map")
     if name == "normal":
         return unit_normals(image, path, code or source.convention, way)
-    if image.shape[2] == 2 or source.channel in (1, 2) and image.shape[2] != 3:
-        raise MapsError(f"{name} in 1 or 3 channels", f"{path} with {image.shape[2]}", "export it as RGB")
+    grey = image.shape[2] == 1 or not document and _tint(image) == 0 and bool(image.min() < image.max())
+    if image.shape[2] == 2 or source.channel in (1, 2) and grey:
+        raise MapsError(f"{name} alone, or in a channel of several maps as the name says", f"{path}, "
+                        f"{'grey' if grey else 'of two channels'}", "name it for its one map, or export RGB")
     if source.channel is not None and image.shape[2] > 1:
         image = image[..., source.channel:source.channel + 1].contiguous()
     elif channels == 1 and (tint := _tint(image)) > TINT:
@@ -251,8 +253,7 @@ def read_map(source: Source, name: str, channels: int, code: str, way: str = OVE
     image = 1 - image if source.inverted else image
     low = float(image.min())
     image = _without_ringing(image, path) if exr else image
-    # 8-bit files can hold a roughness of exactly 0: half a step up is what the writer rounded away at most.
-    # So does ringing.
+    # 8-bit files and ringing can leave a roughness of 0: half a step up is what was rounded away at most
     mirror = name == "roughness" and (not exr or low < 0)
     return image.clamp_min(LEAST_ROUGHNESS) if mirror else image
 

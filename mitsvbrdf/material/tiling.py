@@ -26,9 +26,8 @@ def seamless(svbrdf: SVBRDF) -> tuple[SVBRDF, float]:
     """The material with edges that meet left to right and top to bottom, all maps cut along the same lines.
 
     The overlap is the one whose best cuts differ least, so that tiles and weaves end where they began; it is
-    the same both ways, and a square stays a square. What is seamless already comes back as it is. Gives the
-    material at its resolution, and which part of its side it now shows. MapsError: fewer than 16 texels a
-    side.
+    the same both ways, and a square stays a square. What is seamless already comes back. Gives the material
+    at its resolution, and which part of its side it now shows. MapsError: fewer than 16 texels a side.
     """
     size = svbrdf.resolution
     if size < 2 * NARROWEST:

@@ -98,6 +98,20 @@ def test_what_is_no_map_does_not_become_one(extra, tmp_path):
     assert not found["metallic"].any() and found["roughness"][0, 0].item() == pytest.approx(128 / 255)
 
 
+def test_a_grey_map_is_not_taken_for_several(tmp_path):
+    """metal_rough may be the roughness of a metal, or both maps in green and blue: a grey one is not both."""
+    written(tmp_path, metal_color=188, metal_rough=128, nor_gl=UP)
+    levels = np.arange(64, dtype=np.uint8).reshape(8, 8)
+    Image.fromarray(levels).save(tmp_path / "metal_rough.png")
+    with pytest.raises(MapsError, match="metal_rough.png, grey; name it for its one map"):
+        load_maps(tmp_path)
+    Image.fromarray(np.dstack((levels * 0, levels, levels * 2))).save(tmp_path / "metal_rough.png")
+    with pytest.warns(AssumedWarning):
+        found = load_maps(tmp_path)
+    assert found["metallic"][7, 7].item() == pytest.approx(126 / 255)
+    assert found["roughness"][7, 7].item() == pytest.approx(63 / 255)
+
+
 def test_two_materials_in_a_folder_are_refused(tmp_path):
     written(tmp_path, brick_diff=128, wood_diff=128, brick_rough=128, brick_nor_gl=UP)
     with pytest.raises(MapsError, match="one diffuse map.*brick_diff.png and wood_diff.png"):
