@@ -80,8 +80,8 @@ def why_not(result: Fit) -> str | None:
         return "all maps are fixed"
     camera = result.views.in_patch_sides().camera[:, :2]
     spread = (camera.max(dim=0).values - camera.min(dim=0).values).max()
-    return ("the photos have one view: nothing says how the material looks under another" if spread < 1e-3
-            else None)
+    return ("the photos have one view: nothing says how the material looks under another"
+            if spread < 1e-3 and not result.record.get("repeats", {}).get("stationary") else None)
 
 
 class DetailTraining:
