@@ -125,8 +125,8 @@ def test_a_metal_of_which_one_photo_is_clipped_stays_black():
     truth = type(truth)("roughconductor", dict(truth.maps) | {"normal": normal})
     photo = photograph(truth, VIEW, make_renderer("analytic"))
     assert (photo.photos == 1).float().mean() > 0.01
-    found = map_rmse(fit_svbrdf(photo, make_renderer("analytic"), HierarchicalConfig(stationary=True)).svbrdf,
-                     truth)
+    config = HierarchicalConfig(stationary=True, budget=1200)  # so that a busy machine tries all starts
+    found = map_rmse(fit_svbrdf(photo, make_renderer("analytic"), config).svbrdf, truth)
     # measured: 0.037 and 0.015; with the looks of pixels for a start 0.091 and 0.199
     assert found["diffuse"] < 0.06 and found["specular"] < 0.05
 
