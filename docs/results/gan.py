@@ -214,8 +214,8 @@ materials are missing: their photos fail the test of repetition.
 rings of equal half angle instead of patches; one photo |
 | Aittala 2016 | matches features of a trained network between crops of photo and renderings | \
 lightness in these rings; no network |
-| Zhao 2020 | a GAN on crops of the photo, and a guessed diffuse map | a likelihood of few looks; the game on \
-crops in `--detail gan` |
+| Zhao 2020 | a GAN on crops of the photo, and a guessed diffuse map | a likelihood of few looks; the \
+game on crops in `--detail gan` |
 
 {as_markdown(one_photo_detail(record))}
 

@@ -239,10 +239,7 @@ class Capture:
 
 
 def single_pixels(picture: Any, resolution: int) -> Any:
-    """Pixels at equal distances of a square picture, S x S x 3: as many as are kept once it is shrunk.
-
-    Each lies in the middle of its square, to half a pixel.
-    """
+    """Pixels of a square picture, S x S x 3, in the middles of equal squares, to half a pixel."""
     count = min(SINGLE, resolution)
     at = [(2 * k + 1) * len(picture) // (2 * count) for k in range(count)]
     return picture[at][:, at]

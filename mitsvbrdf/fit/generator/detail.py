@@ -79,9 +79,9 @@ def why_not(result: Fit) -> str | None:
     if not result.deviations:
         return "all maps are fixed"
     camera = result.views.in_patch_sides().camera[:, :2]
-    spread = (camera.max(dim=0).values - camera.min(dim=0).values).max()
+    still = (camera.amax(dim=0) - camera.amin(dim=0)).max() < 1e-3
     return ("the photos have one view: nothing says how the material looks under another"
-            if spread < 1e-3 and not result.record.get("repeats", {}).get("stationary") else None)
+            if still and not result.record.get("repeats", {}).get("stationary") else None)
 
 
 class DetailTraining:

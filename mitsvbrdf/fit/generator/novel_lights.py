@@ -38,17 +38,15 @@ class NovelLight:
 
 
 def draw(views: Views, albedo: Tensor, side: int, tries: int, random: torch.Generator) -> NovelLight:
-    """A light at random, and a crop near its highlight, of so many texels.
+    """A light above the cameras, or half a side around a lone one, and a crop near its highlight.
 
-    It stands above the rectangle of the cameras; of one photo, above the patch.
-
-    Of those tried, the one is taken whose two crops look most alike by the albedo, R x R x 3 display values.
+    Crops have so many texels a side. Of lights tried at random, the one is taken whose two crops look most
+    alike by the albedo, R x R x 3 display values.
     """
     resolution, sides = albedo.shape[0], views.in_patch_sides()
     camera, middle = sides.camera[:, :2], (sides.camera + sides.light)[:, :2] / 2
-    low, high = camera.min(dim=0).values, camera.max(dim=0).values
-    if len(views) == 1:  # of a material that repeats itself
-        low, high = torch.full_like(low, -0.5), torch.full_like(high, 0.5)
+    one = 0.5 * (len(views) == 1)  # of a material that repeats itself
+    low, high = camera.min(dim=0).values - one, camera.max(dim=0).values + one
     photo = int(torch.randint(len(views), (), generator=random))
     found: list[tuple[float, NovelLight]] = [(torch.inf,
                                               NovelLight(photo, 0, 0, *2 * [(resolution - side) // 2]))]
