@@ -81,7 +81,7 @@ class ExactPhotos:
             return self.prior.share(answer, variance, scale, len(photos.views), tied=False)
         self._measure_noise(answer.x)
         if self.seen.stages.stage != Stage.FINE:
-            self.lobes, answer = self.lobes.moved(scale, photos, answer)
+            self.lobes = self.lobes.moved(scale, photos, answer)
         self.lobes = self.lobes.with_relief(answer, photos)
         return answer
 

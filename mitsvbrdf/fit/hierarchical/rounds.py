@@ -157,9 +157,9 @@ class Hierarchical(Method[HierarchicalConfig]):
         return structure < EXACT and MIXED * structure < float(self.stages.unexplained[0])
 
     def end(self) -> None:
-        """Free the planes of the answer."""
-        del self.answer
-        self.real.closed = None
+        """Free the planes of texels."""
+        del self.answer, self.scale
+        self.real.closed = self.exact.lobes = None
 
     @property
     def done(self) -> bool:
@@ -197,8 +197,7 @@ class Hierarchical(Method[HierarchicalConfig]):
             self.answer, cost = scoring.scored(self.answer, others)
             if self.config.neighbours:
                 self.answer, cost = scoring.searched_further(self.answer, cost, lobes.further_starts)
-            self.answer = scoring.averaged(self.answer, cost, others)
-            self.answer, _ = scoring.scored(self.answer, LAST_STEPS)
+            self.answer = scoring.averaged(lobes, self.answer, cost, others)
         return cost.mean()
 
     def _scoring(self) -> Scoring:
@@ -265,7 +264,8 @@ class Hierarchical(Method[HierarchicalConfig]):
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
         planes = {name: state[name] for name in TexelEstimate._fields}
-        self.answer = TexelEstimate(**planes | {"precision": state["precision"].expand_as(state["x"])})
+        planes["precision"] = planes["precision"].expand(-1, *planes["x"].shape[1:])
+        self.answer = TexelEstimate(**planes)
         self.real.closed = None
         for part in (self.stages, self.corrections, self.real, self.budget):
             part.load_state(state)

@@ -47,7 +47,7 @@ class Scale:
         """Their number."""
         return self.capture.resolution**2
 
-    @property
+    @cached_property
     def look(self) -> Tensor:
         """What the texels look like, M x 5."""
         return appearance_of(self.capture, self.guess)
@@ -61,7 +61,7 @@ class Scale:
         """Gives the same in parts, again and again: kept, or made anew."""
         if kept:
             return partial(self.member.split, STRIP)
-        look = self.look
+        look = appearance_of(self.capture, self.guess)
         return lambda: (membership(part, self.basis, self.width) for part in look.split(STRIP))
 
     def add_basis(self, planes: Tensor, values: Tensor) -> None:

@@ -18,7 +18,7 @@ from .shared_lobes import SharedLobes
 from .solver import Observations
 from .starts import LESS, Start, stepped
 from .texel_prior import TexelEstimate, TexelPrior
-from .time_budget import TimeBudget
+from .time_budget import LAST_STEPS, TimeBudget
 
 RARE = 1e-6  # how often chance makes the errors of a texel larger than is believed
 FURTHER_STEPS, PASSES = 20, 3  # of the further search: steps from each start, and how often texels pass it
@@ -64,16 +64,15 @@ class Scoring:
             write_by_tiles(answer, least, found)
         return answer, least
 
-    def averaged(self, answer: TexelEstimate, cost: Tensor, steps: int) -> TexelEstimate:
-        """Texels averaged over the lobes that they may have, by tiles; the answer is written into."""
-        lobes = self.lobes
-        assert lobes
-
+    def averaged(self, lobes: SharedLobes, answer: TexelEstimate, cost: Tensor, steps: int) -> TexelEstimate:
+        """Texels averaged over likely lobes, after the last steps, by tiles; the answer is written into."""
         def found(rows: slice) -> Scored:
-            scored = partial(self._tried, self.photos.of_rows(rows), steps=steps)
-            return lobes.averaged(answer.rows(rows), cost[rows], rows, scored), cost[rows]
+            photos, part = self.photos.of_rows(rows), answer.rows(rows)
+            held = lobes.averaged(part, cost[rows], rows, partial(self._tried, photos, steps=steps))
+            last = stepped(self.scale.solver, photos, held, self.prior, LAST_STEPS)
+            return part._replace(x=last.x), cost[rows]
 
-        with self.budget.timed("solver", len(lobes.others) * steps * cost.numel()):
+        with self.budget.timed("solver", (len(lobes.others) * steps + LAST_STEPS) * cost.numel()):
             write_by_tiles(answer, cost, found)
         return answer
 

@@ -19,14 +19,14 @@ TILTS, GOLDEN = (0.15, 0.4, 0.8), math.pi * (3 - math.sqrt(5))
 def stepped(solver: TexelSolver, observations: Observations, answer: TexelEstimate, prior: TexelPrior,
             count: int) -> Solved:
     """Levenberg-Marquardt steps of every texel from an estimate, within bounds and with its prior."""
+    answer = prior.whole(answer)
     return solver.solve(observations, answer.x, torch.full_like(answer.x[0], DAMPING), answer.mean,
                         answer.precision, prior.low, prior.high, count)
 
 
 def variances(solver: TexelSolver, observations: Observations, answer: TexelEstimate) -> Tensor:
     """Of the unknowns, given photos and prior, U x R x R."""
-    once = answer.once()
-    return solver.variances(observations, answer.x, (once + LEAST_PRECISION).expand_as(answer.x))
+    return solver.variances(observations, answer.x, (answer.once() + LEAST_PRECISION).expand_as(answer.x))
 
 
 # gives the start of some rows of texels, all of which are known
@@ -51,6 +51,6 @@ def _tilted(answer: TexelEstimate, rows: slice, prior: TexelPrior, steep: float,
 def tilted(answer: TexelEstimate, prior: TexelPrior, steep: float, along: float) -> TexelEstimate:
     """Texels that have this slope, towards an angle, and the shared numbers of their prior."""
     x = answer.x.clone()
-    x[prior.shared] = answer.mean[prior.shared]
+    x[prior.shared] = prior.whole(answer).mean[prior.shared]
     x[prior.slopes] = torch.tensor([steep * math.cos(along), steep * math.sin(along)])[:, None, None]
     return answer._replace(x=x)

@@ -34,17 +34,17 @@ class TexelEstimate(NamedTuple):
 
     Args:
         x: the unknowns, U x R x R.
-        mean: of the prior, U x R x R.
-        precision: of the prior, U x R x R.
+        mean: of the prior, U x R x R; of texels that have lobes, of diffuse numbers alone.
+        precision: of the prior, U x R x R; of texels that have lobes, of slopes alone, 1 x R x R.
         spread: standard deviation of the shared unknowns around those of look-alikes, S.
-        lobe: which of the shared lobes texels have, R x R; empty where they have none.
+        lobe: which of the shared lobes texels have, 8 bits, R x R; empty where they have none.
     """
 
     x: Tensor
     mean: Tensor
     precision: Tensor
     spread: Tensor
-    lobe: Tensor = torch.empty(0, dtype=torch.long)
+    lobe: Tensor = torch.empty(0, dtype=torch.uint8)
 
     @property
     def _changed(self) -> tuple[str, ...]:
@@ -107,8 +107,10 @@ class TexelPrior:
     def __init__(self, unknowns: Unknowns, config: HierarchicalConfig) -> None:
         self.unknowns, self.config = unknowns, config
         self.shared, self.slopes = unknowns.of(*SHARED), unknowns.of("normal")
+        self.diffuse = unknowns.of("diffuse", "base_color")
         self.names = [unknowns.names[i] for i in self.shared]  # of the shared ones
         self.low, self.high = torch.tensor([BOUNDS.get(name, (0.0, 1.0)) for name in unknowns.names]).T
+        self.lobes: tuple[Tensor, ...] = ()  # means and precisions of shared numbers, S x Q, where lobes tell
 
     def within(self, name: str, low: float, high: float) -> TexelPrior:
         """The same with other bounds of the numbers of a map."""
@@ -131,6 +133,16 @@ class TexelPrior:
         x = self.bounded(x).contiguous()
         spread = torch.tensor([VAGUE[name] for name in self.names])
         return TexelEstimate(x, x.clone(), self._precision(x, VAGUE.__getitem__), spread)
+
+    def whole(self, answer: TexelEstimate) -> TexelEstimate:
+        """Texels with the prior of all numbers: of those that have lobes, few planes are kept."""
+        if not len(answer.lobe):
+            return answer
+        x, lobe = answer.x, answer.lobe.long()
+        mean, precision = torch.zeros_like(x), self._precision(x, VAGUE.__getitem__).clone()
+        mean[self.diffuse], precision[self.slopes] = answer.mean, answer.precision
+        mean[self.shared], precision[self.shared] = (each[:, lobe] for each in self.lobes)
+        return answer._replace(mean=mean, precision=precision)
 
     def share(self, answer: TexelEstimate, variance: Tensor, scale: Scale, photos: int, tied: bool,
               corrected: Callable[[Tensor], Tensor] = Tensor.contiguous) -> TexelEstimate:

@@ -115,7 +115,7 @@ def test_evidence_by_solving_again(alone):
     scale, prior = method.scale, method.prior
     photos = replace(method.seen.observations(scale, method.answer), robust=None, noise=0.01)
     x = prior.bounded(scale.solver.numbers(truth)).contiguous()
-    answer = method.answer._replace(x=x, mean=x, precision=torch.full_like(x, LEAST_PRECISION))
+    answer = prior.vague(x)._replace(precision=torch.full_like(x, LEAST_PRECISION))
     answer.precision[prior.shared] = 1e10  # held; own numbers find their best
     x = stepped(scale.solver, photos, answer, prior, 40).x
     own = [u for u in range(len(x)) if u not in prior.shared.tolist()]

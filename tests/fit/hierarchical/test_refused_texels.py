@@ -60,3 +60,18 @@ def test_a_texel_that_was_turned_away_comes_back(fine):
     assert torch.equal(found.x.flatten(1)[:, alone], spoilt.x.flatten(1)[:, alone])
     off = (found.x - answer.x).flatten(1)[:, away].abs().amax()
     assert off < 0.05  # .004 here
+
+
+def test_few_planes_tell_the_prior_of_texels_with_lobes(fine):
+    answer, lobes, prior = fine.answer, fine.exact.lobes.lobes, fine.prior
+    assert (len(answer.mean), len(answer.precision), answer.lobe.dtype) == (3, 1, torch.uint8)
+    whole = prior.whole(answer)
+    for row, column in ((0, 0), (5, 9), (SIDE - 1, 3)):
+        lobe = int(answer.lobe[row, column])
+        mean, precision = whole.mean[:, row, column], whole.precision[:, row, column]
+        torch.testing.assert_close(mean[prior.shared], lobes.mean[lobe].float(), rtol=1e-6, atol=0)
+        torch.testing.assert_close(precision[prior.shared], (1 / lobes.variance[lobe]).float(), rtol=1e-6,
+                                   atol=0)
+        assert (mean[prior.slopes] == 0).all()
+        assert (precision[prior.slopes] == answer.precision[0, row, column]).all()
+        assert torch.equal(mean[prior.diffuse], answer.mean[:, row, column])

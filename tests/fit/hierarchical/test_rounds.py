@@ -42,9 +42,9 @@ def test_a_round_raises_no_texels_cost(exact, capture, monkeypatch):
     solve = method.solve
 
     def costs(lobes, photos):
-        answer = method.answer
+        answer = method.prior.whole(method.answer)
         found = cost_of(method, answer.x, answer.mean, answer.precision)
-        return found + lobes.improbability(method.scale.solver, photos, answer) if lobes else found
+        return found + lobes.improbability(method.scale.solver, photos, method.answer) if lobes else found
 
     def watched():
         lobes, photos = method.exact.lobes, method.seen.observations(method.scale, method.answer)
