@@ -56,7 +56,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         BackendError: Mitsuba, the variant or libLLVM is missing.
     """
 
-    measured_every = 6  # rounds; measuring a full-size material costs more than a coarse round
+    measured_every = 6  # rounds; of exact photos at full size 1: a sample does, and no older planes are kept
     latest_is_best = True  # the photos seen are explained best by maps that burn highlights in
 
     def __init__(self, task: FitTask[HierarchicalConfig]) -> None:
@@ -105,6 +105,7 @@ class Hierarchical(Method[HierarchicalConfig]):
             self.real.close(self.answer, self.scale, more=1)
             return {}
         self.real.closed = None
+        self.measured_every = 1 if stages.exact and stages.stage == Stage.FINE else type(self).measured_every
         stages.begin_round()
         with profiled("solver"):
             if stages.stage == Stage.MULTI_START and not self.exact.lobes:
@@ -232,10 +233,11 @@ class Hierarchical(Method[HierarchicalConfig]):
         return solver.svbrdf(x), views
 
     def glimpse(self) -> tuple[SVBRDF, Views, Capture] | None:
-        """Before the last stage: the present maps beside every k-th pixel of the photos."""
-        sharp = self.scales.of(Stage.ALONE).capture
-        if self.scale.capture.resolution == self.capture.resolution:
+        """Before full size, and of exact photos always: the present maps beside every k-th pixel."""
+        full = self.scale.capture.resolution == self.capture.resolution
+        if full and self.measured_every > 1:
             return None
+        sharp = self.capture.sampled(SHOWN) if full else self.scales.captures[Stage.ALONE]
         return self.preview().resized(sharp.resolution), self.corrections.applied(self.views), sharp
 
     def preview(self) -> SVBRDF:

@@ -7,7 +7,7 @@ import torch
 from helpers import photos_of
 from helpers.hierarchical_fits import method_of
 
-from mitsvbrdf.fit.hierarchical import kernel
+from mitsvbrdf.fit.hierarchical import kernel, rounds
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
 from mitsvbrdf.fit.hierarchical.stages import Stage
 from mitsvbrdf.fit.hierarchical.texel_prior import TexelEstimate
@@ -75,3 +75,12 @@ def test_few_planes_tell_the_prior_of_texels_with_lobes(fine):
         assert (mean[prior.slopes] == 0).all()
         assert (precision[prior.slopes] == answer.precision[0, row, column]).all()
         assert torch.equal(mean[prior.diffuse], answer.mean[:, row, column])
+
+
+def test_a_round_of_exact_photos_at_full_size_is_measured_by_a_sample(fine, monkeypatch):
+    monkeypatch.setattr(rounds, "SHOWN", 4)
+    svbrdf, _, seen = fine.glimpse()
+    some = slice(SIDE // 4 // 2, None, SIDE // 4)
+    assert fine.measured_every == 1 and torch.equal(seen.photos, fine.capture.photos[:, some, some])
+    whole = fine.estimate()[0]
+    assert all(torch.equal(value, whole[name][some, some]) for name, value in svbrdf.maps.items())
