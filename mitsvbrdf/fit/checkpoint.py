@@ -21,7 +21,7 @@ from ..io.files import atomic_write, to_disk
 from .config import FitConfig
 
 KINDS = {torch.float32: "F32", torch.float64: "F64", torch.float16: "F16", torch.bfloat16: "BF16",
-         torch.int64: "I64", torch.int32: "I32", torch.uint8: "U8", torch.bool: "BOOL"}  # of the format
+         torch.int64: "I64", torch.int32: "I32", torch.int16: "I16", torch.uint8: "U8", torch.bool: "BOOL"}
 MOST_NAMED = 4  # of what differs from the run that is resumed
 BANDED = 64  # rows of a tensor that are looked at together
 Held = Tensor | torch.Generator | torch.optim.Optimizer | torch.nn.Module

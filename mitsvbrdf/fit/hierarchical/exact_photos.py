@@ -69,9 +69,9 @@ class ExactPhotos:
     def at_full_size(self, answer: TexelEstimate, scale: Scale) -> tuple[Scale, TexelEstimate]:
         """An answer of a coarse scale enlarged."""
         fine = self.present.scales.of(Stage.FINE)
-        if not self.lobes:
+        if not (lobes := self.lobes):
             return fine, self.prior.enlarge(answer, scale, fine, tied=False)
-        self.lobes = SharedLobes.at(self.lobes.lobes, self.prior, self.lobes.relief, fine)
+        self.lobes = SharedLobes.at(lobes.lobes, lobes.prior, lobes.relief, fine, lobes.prior.lobes[2])
         return fine, self.lobes.enlarged(answer, fine)
 
     def next_prior(self, scale: Scale, photos: Observations, answer: TexelEstimate) -> TexelEstimate:
@@ -99,10 +99,10 @@ class ExactPhotos:
         if not (lobes := self.lobes):
             return {}
         return {f"lobes.{name}": value for name, value in lobes.lobes._asdict().items()} | {
-            "relief": lobes.relief.share}
+            "relief": lobes.relief.share, "diffuse": lobes.prior.lobes[2]}
 
     def load_state(self, state: dict[str, Tensor], scale: Scale) -> None:
         """Go on from a saved state at a scale."""
         saved = part(state, "lobes.")
-        self.lobes = SharedLobes.at(Lobes(**saved), self.search.prior, Relief(state["relief"]),
-                                    scale) if saved else None
+        self.lobes = SharedLobes.at(Lobes(**saved), self.search.prior, Relief(state["relief"]), scale,
+                                    state["diffuse"]) if saved else None

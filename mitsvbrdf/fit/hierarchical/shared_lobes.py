@@ -45,10 +45,10 @@ class SharedLobes:
     scale: Scale
 
     @classmethod
-    def at(cls, lobes: Lobes, prior: TexelPrior, relief: Relief, scale: Scale) -> SharedLobes:
-        """Lobes for the texels of a scale."""
+    def at(cls, lobes: Lobes, prior: TexelPrior, relief: Relief, scale: Scale, means: Tensor) -> SharedLobes:
+        """Lobes for the texels of a scale, with the diffuse means of coarse texels."""
         prior = prior.within("normal", -STEEPEST, STEEPEST)
-        prior.lobes = lobes.mean.float().T, (1 / lobes.variance).float().T
+        prior.lobes = lobes.mean.float().T, (1 / lobes.variance).float().T, means
         return cls(lobes, prior, relief, scale)
 
     def rare(self, texels: Tensor) -> Tensor:
@@ -70,21 +70,21 @@ class SharedLobes:
         relief = relief_of(prior, scale.solver, photos, answer)[0]
         found = evidence(scale.solver, photos, answer, prior.shared, answers)
         learner = Learner(prior.names, scale.member, len(scale.capture))
-        lobes = cls.at(learner.learned(found, seen.config.seed), prior, relief, scale)
+        lobes = cls.at(learner.learned(found, seen.config.seed), prior, relief, scale,
+                       answer.mean[prior.diffuse].flatten(1))
         each = learner.each(found, lobes.lobes)
         lobe = (each.cost.T + lobes.rare(torch.arange(side**2))).argmin(dim=0)
         mean = each.mean[torch.arange(len(lobe)), lobe].T.float().reshape(-1, side, side)
-        return lobes, TexelEstimate(
-            prior.bounded(best.index_copy(0, prior.shared, mean)), answer.mean[prior.diffuse],
-            answer.precision[prior.slopes[:1]], answer.spread, lobe.reshape(side, side).byte()
-        ), found.cost.amin(dim=0).mean()
+        x, own = prior.bounded(best.index_copy(0, prior.shared, mean)), torch.arange(side**2).short()
+        return lobes, TexelEstimate(x, own.reshape(1, side, side), answer.precision[prior.slopes[:1]],
+                                    answer.spread, lobe.view(side, side).byte()), found.cost.amin(0).mean()
 
     def moved(self, scale: Scale, photos: Observations, answer: TexelEstimate) -> SharedLobes:
         """The lobes moved to where the texels are that have them."""
         found = evidence(scale.solver, photos, self.prior.whole(answer), self.prior.shared, [answer.x])
         learner = Learner(self.prior.names, scale.member, len(scale.capture))
         lobes = learner.moved(self.lobes, found, answer.lobe.flatten().long())
-        return self.at(lobes, self.prior, self.relief, scale)
+        return self.at(lobes, self.prior, self.relief, scale, self.prior.lobes[2])
 
     def _at_mean(self, answer: TexelEstimate) -> TexelEstimate:
         """Texels at the means of their lobes."""

@@ -34,7 +34,7 @@ class TexelEstimate(NamedTuple):
 
     Args:
         x: the unknowns, U x R x R.
-        mean: of the prior, U x R x R; of texels that have lobes, of diffuse numbers alone.
+        mean: of the prior, U x R x R; with lobes, which coarse texel's diffuse one it is, 1 x R x R, 16 bits.
         precision: of the prior, U x R x R; of texels that have lobes, of slopes alone, 1 x R x R.
         spread: standard deviation of the shared unknowns around those of look-alikes, S.
         lobe: which of the shared lobes texels have, 8 bits, R x R; empty where they have none.
@@ -110,7 +110,7 @@ class TexelPrior:
         self.diffuse = unknowns.of("diffuse", "base_color")
         self.names = [unknowns.names[i] for i in self.shared]  # of the shared ones
         self.low, self.high = torch.tensor([BOUNDS.get(name, (0.0, 1.0)) for name in unknowns.names]).T
-        self.lobes: tuple[Tensor, ...] = ()  # means and precisions of shared numbers, S x Q, where lobes tell
+        self.lobes: tuple[Tensor, ...] = ()  # their means, precisions, S x Q; diffuse means of coarse texels
 
     def within(self, name: str, low: float, high: float) -> TexelPrior:
         """The same with other bounds of the numbers of a map."""
@@ -138,10 +138,10 @@ class TexelPrior:
         """Texels with the prior of all numbers: of those that have lobes, few planes are kept."""
         if not len(answer.lobe):
             return answer
-        x, lobe = answer.x, answer.lobe.long()
+        x, of, lobe, (means, precisions, diffuse) = answer.x, self.shared, answer.lobe.long(), self.lobes
         mean, precision = torch.zeros_like(x), self._precision(x, VAGUE.__getitem__).clone()
-        mean[self.diffuse], precision[self.slopes] = answer.mean, answer.precision
-        mean[self.shared], precision[self.shared] = (each[:, lobe] for each in self.lobes)
+        mean[of], precision[of] = means[:, lobe], precisions[:, lobe]
+        mean[self.diffuse], precision[self.slopes] = diffuse[:, answer.mean[0].long()], answer.precision
         return answer._replace(mean=mean, precision=precision)
 
     def share(self, answer: TexelEstimate, variance: Tensor, scale: Scale, photos: int, tied: bool,
