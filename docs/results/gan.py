@@ -312,38 +312,54 @@ def from_one_photo(folders: list[Path], renderer) -> Iterator[dict]:
                          "errors": {name: errors[name] for name in MAPS}}
 
 
+def patch_distance(rendered, truth, order, seed: int) -> float:  # noqa: ANN001
+    """Sliced Wasserstein distance of 7 x 7 patches of pictures, N x R x R x 3, in three parts by an order."""
+    import torch
+    import torch.nn.functional as F
+
+    random = torch.Generator().manual_seed(seed)
+    kernel = F.normalize(torch.randn(147, 64, generator=random), dim=0).T.reshape(64, 3, 7, 7)
+    one, other = (F.conv2d(x.permute(0, 3, 1, 2), kernel, stride=3).flatten(2) for x in (rendered, truth))
+    middles = order[:, 3:-3:3, 3:-3:3].flatten(1).argsort(dim=1)
+    return float(torch.stack([
+        (a[:, part].sort(dim=1).values - b[:, part].sort(dim=1).values).abs().mean()
+        for a, b, ranks in zip(one, other, middles) for part in ranks.chunk(3)]).mean())
+
+
 def detail_of_one_photo(folders: list[Path], renderer) -> Iterator[dict]:
     """Pictures and maps of those that repeat themselves, before and after the game."""
     import math
+    import subprocess
+    from tempfile import TemporaryDirectory
 
     import torch
 
-    from mitsvbrdf import HierarchicalConfig, Views, color, fit_svbrdf
+    from mitsvbrdf import Fit, Views, load_maps, write_capture
     from mitsvbrdf.bench.tasks import known_material
-    from mitsvbrdf.fit.generator.detail import with_detail
-    from mitsvbrdf.fit.generator.highlight_discriminator import patch_distance
-    from mitsvbrdf.measure.metrics import map_rmse
-    from mitsvbrdf.views import half_angles
 
     side, above = 128, [[0.0, 0.0, 1.2]]
-    new = Views.of(places := [[0.25, 0.2, 1.2], [-0.3, 0.1, 1.2], [0.1, -0.3, 1.2]], places, math.pi * 1.44)
-    angle = half_angles(new, side)
+    places = [[0.25, 0.2, 1.2], [-0.3, 0.1, 1.2], [0.1, -0.3, 1.2]]
+    new, across = Views.of(places, places, math.pi * 1.44), (torch.arange(side) + 0.5) / side - 0.5
+    order = torch.stack([(across - x)**2 + (-across - y)[:, None]**2 for x, y, _ in places])
     for folder in folders:
         view = Views.of(above, above, math.pi * 1.44)
         task = known_material(str(folder / "strip.png"), side, view, renderer, "one view")
-        result = fit_svbrdf(task.photos, renderer, HierarchicalConfig(budget=600))
-        if not result.record["repeats"]["stationary"]:
-            continue
-        result, truth = with_detail(result, task.photos, renderer), task.truth.resized(side)
-        pictures = {name: color.to_display(renderer.render(maps, new), "gamma2.2") for name, maps in (
-            ("truth", truth), ("maps", result.svbrdf), ("detail", result.detail))}
-        row = {"name": folder.name}
-        for name, maps in (("maps", result.svbrdf), ("detail", result.detail)):
-            patches = [float(patch_distance(pictures[name], pictures["truth"], angle,
-                                            torch.Generator().manual_seed(seed))) for seed in range(8)]
-            off = (pictures[name] - pictures["truth"]).square().mean().sqrt()
+        truth, row = task.truth.resized(side), {"name": folder.name}
+        with TemporaryDirectory() as place:
+            photo, out = Path(place, "photo"), Path(place, "out")
+            write_capture(task.photos, photo)
+            subprocess.run(["mitsvbrdf", "fit", photo, "-o", out, "--budget", "600", "--detail", "gan"],
+                           check=True)
+            if not Fit.load(out).record["repeats"]["stationary"]:
+                continue
+            found = {"maps": load_maps(out / "maps"), "detail": load_maps(out / "detail")}
+        shown = {name: renderer.render(maps, new).clamp(0, 1) ** (1 / 2.2)
+                 for name, maps in {"truth": truth, **found}.items()}
+        for name, maps in found.items():
+            patches = [patch_distance(shown[name], shown["truth"], order, seed) for seed in range(8)]
+            off = (shown[name] - shown["truth"]).square().mean().sqrt()
             row[name] = {"patches": sum(patches) / 8, "novel_light": float(off),
-                         "mean": float(map_rmse(maps, truth)["mean"])}
+                         "mean": task.errors(maps, lambda photos: 0.0)["mean"]}
         print(row, flush=True)
         yield row
 

@@ -65,8 +65,8 @@ def test_a_round_raises_no_texels_cost(exact, capture, monkeypatch):
     # counts to 1e-5.
     assert max(rises) < 1e-5 and rises[0] < -0.5
     # Of texels that share lobes, starts compete by -2 log of the evidence, and steps do not lower its
-    # determinant: it decides whether they are taken. Measured 0; 0.48 where it did not. The last round ends with
-    # texels averaged over their lobes, which cost more than the likeliest (0.19).
+    # determinant: it decides whether they are taken. Measured 0; 0.48 where it did not. The last round ends
+    # with texels averaged over their lobes, which cost more than the likeliest (0.19).
     assert max(with_lobes[:-1], default=0.0) < 0.1
 
 
