@@ -312,18 +312,15 @@ def from_one_photo(folders: list[Path], renderer) -> Iterator[dict]:
                          "errors": {name: errors[name] for name in MAPS}}
 
 
-def patch_distance(rendered, truth, order, seed: int) -> float:  # noqa: ANN001
-    """Sliced Wasserstein distance of 7 x 7 patches of pictures, N x R x R x 3, in three parts by an order."""
+def patch_distance(one, other) -> float:  # noqa: ANN001
+    """Sliced Wasserstein distance of the 7 x 7 patches of pictures, N x R x R x 3, over 512 directions."""
     import torch
     import torch.nn.functional as F
 
-    random = torch.Generator().manual_seed(seed)
-    kernel = F.normalize(torch.randn(147, 64, generator=random), dim=0).T.reshape(64, 3, 7, 7)
-    one, other = (F.conv2d(x.permute(0, 3, 1, 2), kernel, stride=3).flatten(2) for x in (rendered, truth))
-    middles = order[:, 3:-3:3, 3:-3:3].flatten(1).argsort(dim=1)
-    return float(torch.stack([
-        (a[:, part].sort(dim=1).values - b[:, part].sort(dim=1).values).abs().mean()
-        for a, b, ranks in zip(one, other, middles) for part in ranks.chunk(3)]).mean())
+    directions = F.normalize(torch.randn(147, 512, generator=torch.Generator().manual_seed(0)), dim=0)
+    kernel = directions.T.reshape(512, 3, 7, 7)
+    one, other = (F.conv2d(x.movedim(-1, 1), kernel, stride=3).flatten(2).sort().values for x in (one, other))
+    return float((one - other).abs().mean())
 
 
 def detail_of_one_photo(folders: list[Path], renderer) -> Iterator[dict]:
@@ -332,36 +329,28 @@ def detail_of_one_photo(folders: list[Path], renderer) -> Iterator[dict]:
     import subprocess
     from tempfile import TemporaryDirectory
 
-    import torch
-
     from mitsvbrdf import Fit, Views, load_maps, write_capture
     from mitsvbrdf.bench.tasks import known_material
 
-    side, above = 128, [[0.0, 0.0, 1.2]]
-    places = [[0.25, 0.2, 1.2], [-0.3, 0.1, 1.2], [0.1, -0.3, 1.2]]
-    new, across = Views.of(places, places, math.pi * 1.44), (torch.arange(side) + 0.5) / side - 0.5
-    order = torch.stack([(across - x)**2 + (-across - y)[:, None]**2 for x, y, _ in places])
+    power, places = math.pi * 1.44, [[0.25, 0.2, 1.2], [-0.3, 0.1, 1.2], [0.1, -0.3, 1.2]]
+    new, view = Views.of(places, places, power), Views.of([[0.0, 0.0, 1.2]], [[0.0, 0.0, 1.2]], power)
     for folder in folders:
-        view = Views.of(above, above, math.pi * 1.44)
-        task = known_material(str(folder / "strip.png"), side, view, renderer, "one view")
-        truth, row = task.truth.resized(side), {"name": folder.name}
+        task = known_material(str(folder / "strip.png"), 128, view, renderer, "one view")
         with TemporaryDirectory() as place:
-            photo, out = Path(place, "photo"), Path(place, "out")
-            write_capture(task.photos, photo)
-            subprocess.run(["mitsvbrdf", "fit", photo, "-o", out, "--budget", "600", "--detail", "gan"],
-                           check=True)
+            out = Path(place, "out")
+            write_capture(task.photos, Path(place, "photo"))
+            subprocess.run(["mitsvbrdf", "fit", Path(place, "photo"), "-o", out, "--budget", "600",
+                            "--detail", "gan"], check=True)
             if not Fit.load(out).record["repeats"]["stationary"]:
                 continue
             found = {"maps": load_maps(out / "maps"), "detail": load_maps(out / "detail")}
-        shown = {name: renderer.render(maps, new).clamp(0, 1) ** (1 / 2.2)
-                 for name, maps in {"truth": truth, **found}.items()}
-        for name, maps in found.items():
-            patches = [patch_distance(shown[name], shown["truth"], order, seed) for seed in range(8)]
-            off = (shown[name] - shown["truth"]).square().mean().sqrt()
-            row[name] = {"patches": sum(patches) / 8, "novel_light": float(off),
-                         "mean": task.errors(maps, lambda photos: 0.0)["mean"]}
-        print(row, flush=True)
-        yield row
+        truth, *shown = (renderer.render(maps, new).clamp(0, 1) ** (1 / 2.2)
+                         for maps in (task.truth.resized(128), *found.values()))
+        yield {"name": folder.name, **{
+            name: {"patches": patch_distance(pictures, truth),
+                   "novel_light": float((pictures - truth).square().mean().sqrt()),
+                   "mean": task.errors(maps, lambda photos: 0.0)["mean"]}
+            for (name, maps), pictures in zip(found.items(), shown)}}
 
 
 def measure(record: dict) -> dict:
@@ -391,17 +380,19 @@ def measure(record: dict) -> dict:
     return {**record, "records": [*found, *others]}
 
 
+def measure_detail(record: dict) -> dict:
+    """Plausible detail of one photo alone."""
+    from mitsvbrdf import make_renderer
+    from mitsvbrdf.bench.tasks import data_folder
+
+    strips = sorted((data_folder() / "one-photo/known").iterdir())
+    return {**record, "one_photo_detail": list(detail_of_one_photo(strips, make_renderer("mitsuba")))}
+
+
 if __name__ == "__main__":
     content = json.loads((HERE / "gan.json").read_text())
-    if sys.argv[1:] == ["detail"]:
-        from mitsvbrdf import make_renderer
-        from mitsvbrdf.bench.tasks import data_folder
-
-        strips = sorted((data_folder() / "one-photo/known").iterdir())
-        content["one_photo_detail"] = list(detail_of_one_photo(strips, make_renderer("mitsuba")))
-        (HERE / "gan.json").write_text(json.dumps(content))
-    if sys.argv[1:] == ["measure"]:
-        content = measure(content)
+    if sys.argv[1:]:
+        content = {"measure": measure, "detail": measure_detail}[sys.argv[1]](content)
         (HERE / "gan.json").write_text(json.dumps(content))
     (HERE / "gan.md").write_text(page(content))
     (HERE / "gan.svg").write_bytes(svg(figure(content)))

@@ -1,13 +1,18 @@
 """``mitsvbrdf demo``: a made material photographed, recovered and compared with the truth."""
 
 from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import arg
 
 from ..io import results
 from ..io.progress import print_numbers, say
-from .options import Kept, Out, Seconds
+from .options import Out
 
 
-def demo(out: Out = Path("demo"), budget: Seconds = 75.0, overwrite: Kept = True) -> int:
+def demo(out: Out = Path("demo"),
+         budget: Annotated[float, arg(help="Seconds that the fit may take.")] = 75.0,
+         overwrite: Annotated[bool, arg(help="Keep an earlier demo.", help_behavior_hint="")] = True) -> int:
     """Photograph a made material, recover it, and compare with the truth; about two minutes."""
     from ..evaluate import evaluate_maps
     from ..fit.config import HierarchicalConfig

@@ -1,9 +1,13 @@
 """``mitsvbrdf doctor``: what is installed here, and whether it suffices."""
 
-from .options import PrintJson, Variant
+from typing import Annotated
+
+from tyro.conf import arg
+
+from .options import Variant
 
 
-def doctor(variant: Variant = "llvm_ad_rgb", json: PrintJson = False) -> int:
+def doctor(variant: Variant = "llvm_ad_rgb", json: Annotated[bool, arg(help="Print JSON.")] = False) -> int:
     """Show what is installed, prove libLLVM in a child process, and say what is missing and how to get it."""
     from ..doctor import doctor as examine
 

@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 
 Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
 Overwrite = Annotated[bool, arg(help="Replace earlier results, also export/ and relight/ made of them.")]
-Kept = Annotated[bool, arg(help="Keep an earlier demo, and end with an error.", help_behavior_hint="")]
-Seconds = Annotated[float, arg(help="Seconds that the fit may take.")]
-PrintJson = Annotated[bool, arg(help="Print JSON.")]
 JsonFile = Annotated[Path | None, arg(name="json", help="Write all figures to this file.")]
 Reference = Annotated[str | None, arg(help="Known maps: a folder, a .glb file or builtin:NAME.")]
 # Commands with this parameter run inside errors.strict: see cli.command.

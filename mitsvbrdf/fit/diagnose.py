@@ -84,7 +84,7 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
                              "capture": capture.source.name if capture.source else "", "seen_by": renderer,
                              **({} if seen.images is None else {"rerendered": seen.images})})
     said: tuple[str, ...] = (task.repeats.said(),) if task.repeats else ()
-    if isinstance(solver, Hierarchical) and solver.mixed:
+    if isinstance(solver, Hierarchical) and solver.averages_mix():
         said += (MIXED.format(capture.resolution),)
     said += (UNSETTLED,) if method.cut_short and loop.iteration else ()
     return fit.but(warnings=(*capture.notes[len(notes):], *said, *fit_warnings(fit, capture)))

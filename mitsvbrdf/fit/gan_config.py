@@ -114,11 +114,7 @@ class GanConfig(FitConfig):
     """One sideways distance between lens and flash, fitted for all photos. The paper's is 0."""
 
     def __post_init__(self) -> None:
-        """Fill in what the preset has.
-
-        Raises:
-            ConfigError: no such preset.
-        """
+        """Fill in what the preset has. ConfigError: no such preset."""
         check_fields(self, "fix", "preset")
         if self.preset not in get_args(Preset):
             raise ConfigError(f"a preset of {get_args(Preset)}", repr(self.preset), "choose one of these")

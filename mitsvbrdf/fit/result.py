@@ -68,11 +68,7 @@ class Fit:
 
     @staticmethod
     def load(folder: str | Path) -> Fit:
-        """A whole fit from its folder, the OUT of a fit.
-
-        Raises:
-            MapsError: it is none, or not a whole one.
-        """
+        """A whole fit from its folder, the OUT of a fit. MapsError: it is none, or not a whole one."""
         folder = Path(folder)
         if not (folder / FILE).is_file():
             raise MapsError("the OUT of `mitsvbrdf fit`", f"{folder}, which has no {FILE}", "check the path")

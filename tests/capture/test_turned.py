@@ -71,15 +71,16 @@ def test_relief_under_opposite_light_is_no_photo_turned():
     assert ways(put(found, _3=2)) == [0, 0, 0, 2, 0, 0, 0]
 
 
-def test_masks_turn_along_and_do_not_tell():
+def test_masks_and_single_pixels_turn_along_and_do_not_tell():
     right = capture(grains())
     measured = torch.ones(right.photos.shape[:3], dtype=torch.bool)
     measured[2, :40] = False
-    given = put(replace(right, measured=measured), _2=2)
-    given = replace(given, measured=torch.stack([laid(m[None], 2)[0] if n == 2 else m
-                                                 for n, m in enumerate(measured)]))
-    found = laid_alike(given)
-    assert torch.equal(found.photos, right.photos) and torch.equal(found.measured, measured)
+    right = replace(right, measured=measured, single=right.photos[:, ::4, ::4])
+    turned = {name: torch.stack([laid(kept[None], 2)[0] if n == 2 else kept
+                                 for n, kept in enumerate(getattr(right, name))])
+              for name in ("photos", "measured", "single")}
+    found = laid_alike(replace(right, **turned))
+    assert all(torch.equal(getattr(found, name), getattr(right, name)) for name in turned)
 
 
 def test_reading_turns_them_before_photos_are_picked(tmp_path):

@@ -145,9 +145,8 @@ class Hierarchical(Method[HierarchicalConfig]):
         return unexplained(self.preview(), self.corrections.applied(self.views), self.scale.capture,
                            make_renderer("mitsuba", self.variant))
 
-    @property
-    def mixed(self) -> bool:
-        """Whether single pixels of the photos follow the model, and their averages clearly less so."""
+    def averages_mix(self) -> bool:
+        """Whether single pixels of photos that were shrunk follow the model, and averages less (a fit)."""
         pixels = self.task.capture.of_single()
         if pixels is None or not self.stages.known:
             return False
