@@ -6,6 +6,7 @@ from helpers import GRID, MITSUBA, photos_of
 
 from mitsvbrdf.capture import Capture, read_capture, write_capture
 from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf
+from mitsvbrdf.fit.hierarchical import rounds
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import flat
 
@@ -29,7 +30,8 @@ def test_nothing_is_told_of_photos_that_still_follow_the_model():
     assert told(photos_of(flat(SIDE, diffuse=0.3, specular=0.04, roughness=0.4)).averaged(LESS)) == 0
 
 
-def test_nothing_is_told_of_photos_that_never_did():
+def test_nothing_is_told_of_photos_that_never_did(monkeypatch):
+    monkeypatch.setattr(rounds, "MIXED", 0.5)  # so that averages leave enough, and the pixels decide
     exposed = torch.tensor([0.7, 1.0, 0.85] * 3)[:, None, None, None]  # which no view states
     assert told(Capture(photos_of(make_material("inlay", SIDE)).photos * exposed, GRID).averaged(LESS)) == 0
 
