@@ -274,18 +274,21 @@ def figure(record: dict) -> Figure:
     return drawing
 
 
-def from_solved(tasks: list, renderer) -> Iterator[dict]:
-    """``gan`` from solved maps beside the default, so many steps each: no clock decides."""
-    from mitsvbrdf import GanConfig, HierarchicalConfig
-    from mitsvbrdf.bench.run import fit
+def from_solved(data: Path, renderer) -> Iterator[dict]:
+    """``gan`` from solved maps beside the default, so many steps each: captures, then known materials."""
+    from mitsvbrdf import GanConfig, HierarchicalConfig, read_capture
+    from mitsvbrdf.bench.run import run
+    from mitsvbrdf.bench.tasks import find_tasks, known_material
 
-    for task in tasks:
-        for method, config in (("gan", GanConfig(iterations=200)),
-                               ("hierarchical", HierarchicalConfig(iterations=200))):
-            result, predict = fit(task.photos, renderer, config, lambda share: None)
-            yield {**task.key, "measured": SOLVED, "method": method, "seed": 0,
-                   "errors": task.errors(result.svbrdf, predict),
-                   "stayed": [o["what"] for o in result.record["omitted"] if "the game" in o["what"]]}
+    views = read_capture(data / "captures/cards-blue", resolution=128).views
+    strips = [replace(known_material(str(folder / "strip.png"), 128, views, renderer, "cards-blue"),
+                      name=folder.name) for folder in sorted((data / "one-photo/known").iterdir())]
+    tasks = [*find_tasks(["none"], None, data, 128, (4, 7), None, renderer),
+             *find_tasks(None, ["none"], data, 128, (), None, renderer), *strips]
+    methods = {"gan": GanConfig(iterations=200), "hierarchical": HierarchicalConfig(iterations=200)}
+    for r in run(methods, tasks, [1200], [0], renderer, HERE / "gan.jsonl",
+                 lambda text, share: print(f"{share:4.0%} {text}", flush=True)):
+        yield {**r, "measured": SOLVED}
 
 
 def from_one_photo(folders: list[Path], renderer) -> Iterator[dict]:
@@ -373,7 +376,7 @@ def measure(record: dict) -> dict:
         records = run(methods, tasks, [budget], seeds, renderer, HERE / "gan.jsonl",
                       lambda text, share: print(f"{share:4.0%} {text}", flush=True))
         found += [{**r, "measured": measured} for r in records]
-    found += list(from_solved(find_tasks(None, None, data, 64, (4, 7), None, renderer), renderer))
+    found += list(from_solved(data, renderer))
     found += list(from_one_photo(sorted((data / "one-photo/known").iterdir()), renderer))
     done = {(r["measured"], r["method"]) for r in found}
     others = [r for r in record["records"] if (r["measured"], r["method"]) not in done]
