@@ -123,9 +123,10 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
         OutputError: the folder cannot be written to.
     """
     folder, views = Path(folder), capture.views
-    shown = capture.photos if capture.measured is None else torch.cat((capture.photos,
-                                                                       capture.measured[..., None]), dim=-1)
-    for i, photo in enumerate(shown):
+    for i in range(len(capture)):
+        photo = capture.photo(i)
+        if capture.measured is not None:
+            photo = torch.cat((photo, capture.measured[i, ..., None]), dim=-1)
         write_png(folder / "target" / f"{i:02d}.png", photo, 16 if capture.transfer == "linear" else 8)
     power = views.intensity.tolist()
     stated = {"camera_pos": views.camera.tolist(), "light_pos": views.light.tolist(),

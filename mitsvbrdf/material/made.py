@@ -17,8 +17,9 @@ from torch import Generator, Tensor
 
 from ..errors import ConfigError
 from ..io.entry import entry
-from ..views import texel_positions
+from ..views import strips, texel_positions
 from .maps import SVBRDF
+from .resample import resized
 
 Colour = tuple[float, float, float]
 
@@ -26,16 +27,16 @@ Colour = tuple[float, float, float]
 STEEPEST = math.tan(math.radians(30))
 
 
-def painted(paint: Paint) -> SVBRDF:
-    """The maps of a painted material at its resolution, cut as :func:`make_material` says."""
-    down, right = torch.gradient(paint.height, spacing=1 / len(paint.height))
+def painted(paint: Paint) -> dict[str, Tensor]:
+    """The maps of rows of a painted material at its resolution, cut as :func:`make_material` says."""
+    down, right = torch.gradient(paint.height, spacing=1 / paint.height.shape[1])
     slope = torch.stack((right, -down), dim=-1)
     slope = slope * (STEEPEST / slope.norm(dim=-1, keepdim=True).clamp_min(STEEPEST))
     specular = paint.specular.clamp(0.02, 0.95)
-    return SVBRDF("roughconductor", {
+    return {
         "diffuse": torch.minimum(paint.diffuse.clamp(0, 0.95), 1 - specular), "specular": specular,
         "roughness": paint.roughness.clamp(0.08, 1),
-        "normal": F.normalize(torch.cat((-slope, torch.ones_like(slope[..., :1])), dim=-1), dim=-1)})
+        "normal": F.normalize(torch.cat((-slope, torch.ones_like(slope[..., :1])), dim=-1), dim=-1)}
 
 
 Value = Tensor | float | tuple[float, ...]
@@ -129,9 +130,16 @@ def make_material(name: str, resolution: int = 256, seed: int = 0) -> SVBRDF:
         raise ConfigError(f"a made material of {list(MATERIALS)}", repr(name), "choose one of these")
     if resolution < 2:
         raise ConfigError("a resolution of 2 or more", str(resolution), "ask for e.g. 256")
-    fine = resolution * max(2, 512 // resolution)
-    x, y, _ = texel_positions(fine, torch.float32).unbind(-1)
-    return painted(MATERIALS[name](x, y, torch.Generator().manual_seed(seed))).resized(resolution)
+    times, made = max(2, 512 // resolution), []
+    for rows in strips(resolution):  # memory stays small
+        first, last = rows.start * times, rows.stop * times
+        around = slice(max(0, first - 1), last + 1)  # slopes need the rows next to it
+        x, y, _ = texel_positions(resolution * times, torch.float32, around).unbind(-1)
+        fine = painted(MATERIALS[name](x, y, torch.Generator().manual_seed(seed)))
+        maps = {name: resized(value[first - around.start:last - around.start], resolution,
+                              rows.stop - rows.start) for name, value in fine.items()}
+        made.append(maps | {"normal": F.normalize(maps["normal"], dim=-1)})
+    return SVBRDF("roughconductor", {name: torch.cat([maps[name] for maps in made]) for name in made[0]})
 
 
 def inlay(x: Tensor, y: Tensor, rng: Generator) -> Paint:

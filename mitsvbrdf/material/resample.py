@@ -8,10 +8,13 @@ import torch.nn.functional as F
 from torch import Tensor
 
 
-def resized(images: Tensor, side: int) -> Tensor:
-    """Images (R x R x C, or N of them) in ``side`` pixels a side: area averages down, bilinear up."""
+def resized(images: Tensor, side: int, rows: int | None = None) -> Tensor:
+    """Images (R x R x C, or N of them) in ``side`` pixels a side: area averages down, bilinear up.
+
+    ``rows``: of images that are not square, in so many rows of ``side`` pixels.
+    """
     how = {"mode": "area"} if side <= images.shape[-2] else {"mode": "bilinear", "align_corners": False}
-    return _interpolated(images, (side, side), **how)
+    return _interpolated(images, (rows or side, side), **how)
 
 
 def area_averaged(images: Tensor, side: int) -> Tensor:

@@ -6,6 +6,7 @@ from .. import color
 from ..capture.capture import Capture
 from ..io.entry import entry
 from ..material.maps import SVBRDF
+from ..measure.rerender import batches
 from ..render import Renderer
 from ..views import Views
 
@@ -17,8 +18,13 @@ def photograph(svbrdf: SVBRDF, views: Views, renderer: Renderer, noise: float = 
 
     The noise is the standard deviation of normally distributed numbers, in linear radiance.
     """
-    with torch.no_grad():
-        radiance = renderer.render(svbrdf, views).float()
-    grain = torch.randn(radiance.shape, generator=torch.Generator().manual_seed(seed))
-    photos = color.to_display((radiance + noise * grain).clamp_min(0), transfer)
-    return Capture((photos * 255).round() / 255, views, transfer)
+    stored, random = [], torch.Generator().manual_seed(seed)
+    for some in batches(len(views), svbrdf.resolution):  # memory stays small
+        lit = views.pick(some)
+        with torch.no_grad():
+            radiance = renderer.render(svbrdf, lit).float()
+        if noise:
+            radiance += noise * torch.randn(radiance.shape, generator=random)
+        seen = Capture(color.to_display(radiance.clamp_min_(0), transfer), lit, transfer).photos
+        stored.append((seen * 255).round().byte())
+    return Capture(torch.cat(stored), views, transfer)

@@ -57,3 +57,11 @@ def test_mistakes_are_named():
         make_material("marble")
     with pytest.raises(ConfigError, match="2 or more"):
         make_material("inlay", 1)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_material_made_in_strips_is_the_whole_bit_by_bit(name, monkeypatch):
+    whole = make_material(name, 48, 5)
+    monkeypatch.setattr("mitsvbrdf.views.STRIP", 48 * 7)
+    strips = make_material(name, 48, 5)
+    assert all(torch.equal(whole[m], strips[m]) for m in whole.maps)
