@@ -88,8 +88,8 @@ class SolvedGan(Method[GanConfig]):
         return losses
 
     def _share(self, progress: float) -> float:
-        """Of the time that the present solver has, what is over; 0 without a budget."""
-        if not self.config.budget:
+        """Of the time that the present solver has, what is over; 0 where steps, not seconds, limit the run."""
+        if self.config.iterations or not self.config.budget:
             return 0.0
         if self.stage:
             return (progress - self.began) / (WITHOUT * (1 - self.began))
