@@ -3,6 +3,7 @@
 import ast
 import importlib.util
 import json
+import re
 import sys
 from dataclasses import fields, replace
 
@@ -52,7 +53,11 @@ def test_a_page_is_what_its_record_makes(script):
 @pytest.mark.slow
 @each_script
 def test_a_picture_is_what_its_record_makes(script):
-    assert svg(loaded(script).figure(record_of(script))) == script.with_suffix(".svg").read_bytes()
+    def drawn(picture: bytes) -> bytes:  # digests of numbers name clip paths; the CPU decides last bits
+        return re.sub(rb"\bp[0-9a-f]{10}\b", b"clip", picture)
+
+    found = svg(loaded(script).figure(record_of(script)))
+    assert drawn(found) == drawn(script.with_suffix(".svg").read_bytes())
 
 
 def test_there_are_at_most_ten_pages_and_nothing_beside_them():
