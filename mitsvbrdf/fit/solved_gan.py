@@ -88,7 +88,7 @@ class SolvedGan(Method[GanConfig]):
         return losses
 
     def _share(self, progress: float) -> float:
-        """Of the time that the present solver has, what is over; 0 where steps, not seconds, limit the run."""
+        """Of the time that the present solver has, what is over; 0 where steps limit the run."""
         if self.config.iterations or not self.config.budget:
             return 0.0
         if self.stage:
