@@ -19,7 +19,7 @@ from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.render.exclusive import using_mitsuba
 
 SHORTER = [(r"--budget \d+", "--iterations 3"), (r"resolution=\d+", "resolution=32"),
-           (r"--megapixels \d+", "--megapixels 0.7"), (r"--target-error \S+ ?", ""),
+           (r"--megapixels \d+", "--megapixels 0.7"),
            (r"\(seed=0\)", "(seed=0, iterations=3)"),
            (r"(make_material\(\S+,) \d+", r"\1 32"), (r"error<\S+\b", "error<1")]
 QUICK = {"crosscheck": ["--repeats", "1", "--bsdf", "roughconductor", "--resolution", "32"],

@@ -17,7 +17,6 @@ from . import options
 
 if TYPE_CHECKING:
     from ..relight.frames import Record
-    from ..relight.passes import Stop
     from ..relight.stage import Stage
 
 PICTURE_SIDES = (8, 8192)  # smallest and largest, pixels
@@ -37,11 +36,7 @@ def relight(
     tiling: Annotated[int, arg(help="Repetitions of the maps along each side.")] = 1,
     exposure: Annotated[float, arg(
         help="Brightness of PNG and movies in stops. EXR files stay linear.")] = 0.0,
-    target_error: Annotated[float | None, arg(help=(
-        "Render each frame until its estimated RMSE in display values is below this. Default: 0.01, unless "
-        "--budget or --samples is given."))] = None,
-    budget: Annotated[float | None, arg(help="Render all frames within so many seconds.")] = None,
-    samples: Annotated[int | None, arg(help="Render so many samples a pixel.")] = None,
+    samples: Annotated[int | None, arg(help="Samples a pixel. Default: the preset's.")] = None,
     movie: Annotated[str, arg(
         metavar="mp4,gif|none", help="Movies to make of the frames. Each frame also stays as EXR.")] = "mp4",
     out: Annotated[Path | None, arg(
@@ -54,19 +49,16 @@ def relight(
 ) -> int:
     """Show a material under other light, path traced with Mitsuba.
 
-    Stills become EXR and PNG files, movies MP4 and GIF. Each frame is rendered in passes until its estimated
-    error is below --target-error. OUT/PRESET.svg shows the error over time; relight.json holds the figures.
+    Stills become EXR and PNG files, movies MP4 and GIF. relight.json holds the estimated error of each frame.
 
     Ctrl-C keeps the finished frames and the current one as it is. The same command with --resume goes on.
     """
     from ..fit.checkpoint import digest
     from ..fit.config import check_seed
     from ..relight.frames import av_module, begin, go_on, kept_names, render_stages
-    from ..relight.passes import Stop
     from ..relight.stage import PRESETS, make_stage
     from ..render.exclusive import using_mitsuba
 
-    stop = Stop(target_error, budget, samples)
     check_seed(seed)
     if not -20 <= exposure <= 20:
         raise ConfigError("--exposure of -20 to 20 stops", str(exposure), "0 leaves the picture as it is")
@@ -77,7 +69,7 @@ def relight(
     svbrdf, fit = options.material_of(maps, 256, encoding, normal), options.fit_of_maps(maps)
     with using_mitsuba(variant) as mi:
         stages = [make_stage(mi, svbrdf, each, environment=environment, size=pixels, frames=frames,
-                             tiling=tiling, views=fit.known_views) for each in chosen]
+                             samples=samples, tiling=tiling, views=fit.known_views) for each in chosen]
         if explain:
             for stage in stages:
                 for what, why in stage.omitted:
@@ -92,16 +84,15 @@ def relight(
         settings = {"maps": maps if maps.startswith("builtin:") else os.path.realpath(maps),
                     "material": digest(*svbrdf.maps.values(), *lit), "environment": environment,
                     "environment_file": sky, "size": pixels, "frames": frames, "tiling": tiling,
-                    "exposure": exposure, "target_error": stop.target_error, "budget": budget,
-                    "samples": samples, "seed": seed, "variant": variant}
+                    "exposure": exposure, "samples": samples, "seed": seed, "variant": variant}
         with results.output_folder(out, overwrite or resume, resume, kept_names(PRESETS)) as folder:
             record = go_on(settings, out, folder) if resume else begin(settings)
 
             def done(stage: Stage) -> None:
-                _finish(stage, record, folder, kinds, exposure, stop)
+                _finish(stage, record, folder, kinds, exposure)
 
             with stop_signals() as stopping, progress_bar(f"relight {options.name_of(maps)}") as report:
-                whole = render_stages(mi, stages, stop, record, folder, seed=seed, exposure=exposure,
+                whole = render_stages(mi, stages, record, folder, seed=seed, exposure=exposure,
                                       report=report, done=done, interrupted=stopping)
         if not whole:
             say("interrupted: the frames so far are kept; the same command with --resume goes on")
@@ -109,19 +100,15 @@ def relight(
         return 0
 
 
-def _finish(stage: Stage, record: Record, folder: Path, kinds: list[str], exposure: float,
-            stop: Stop) -> None:
-    """Curve and a line for a preset, and its movie where all frames are there."""
+def _finish(stage: Stage, record: Record, folder: Path, kinds: list[str], exposure: float) -> None:
+    """A line for a preset, and its movie where all frames are there."""
     from ..relight.frames import display_frames, write_gif, write_mp4
-    from ..report.charts import error_curve
 
     frames = record.presets[stage.name]["frames"]
     if len(record.of(stage.name)) == stage.frames > 1:
         for kind, write in (("mp4", write_mp4), ("gif", write_gif)):
             if kind in kinds:
                 write(folder / f"{stage.name}.{kind}", display_frames(stage, folder, exposure))
-    error_curve(folder / f"{stage.name}.svg", [frame["curve"] for frame in frames], stop.target_error,
-                f"{stage.name}, {'x'.join(map(str, record.settings['size']))}")
     say(_summary(stage.name, frames))
 
 

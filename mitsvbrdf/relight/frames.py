@@ -3,7 +3,7 @@
 import json
 import shutil
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
@@ -15,13 +15,12 @@ from ..io import Report, files, images
 from ..io.entry import entry
 from ..io.json import load
 from ..io.provenance import machine, versions
-from .passes import Stop, render_frame, shown
+from .passes import INTERRUPTED, render_frame, shown
 from .stage import Stage
 
 SCHEMA_VERSION = 1
 RECORD = "relight.json"
-BESIDE = ("png", "svg", "mp4", "gif")  # files of a preset, beside its frames
-INTERRUPTED = "interrupted"
+BESIDE = ("png", "mp4", "gif")  # files of a preset, beside its frames
 
 
 @dataclass
@@ -29,18 +28,13 @@ class Record:
     """What ``relight.json`` says."""
 
     settings: dict  # all that the pictures depend on, as JSON has it; a run that goes on has the same
-    # by preset omitted and frames: one dict each with frame, file, samples, seconds, error, stopped and curve
+    # by preset omitted and frames: one dict each with frame, file, samples, seconds, error and stopped
     presets: dict[str, dict]
 
     def of(self, preset: str) -> dict[int, dict]:
         """The frames of a preset that are done, by number."""
         frames = self.presets.get(preset, {}).get("frames", [])
         return {frame["frame"]: frame for frame in frames if frame["stopped"] != INTERRUPTED}
-
-    @property
-    def seconds(self) -> float:
-        """Spent on all frames so far."""
-        return sum(frame["seconds"] for preset in self.presets.values() for frame in preset["frames"])
 
     def write(self, folder: Path) -> None:
         """Replace the record in the folder."""
@@ -101,16 +95,15 @@ def _found(place: Path, settings: Mapping) -> tuple[Record, list[str]]:
 
 
 @entry()
-def render_stages(mi: ModuleType, stages: Sequence[Stage], stop: Stop, record: Record, folder: Path, *,
+def render_stages(mi: ModuleType, stages: Sequence[Stage], record: Record, folder: Path, *,
                   seed: int = 0, exposure: float = 0.0, report: Report = lambda text, share: None,
                   done: Callable[[Stage], object], interrupted: Sequence = ()) -> bool:
     """Render the frames that the record lacks, in order; frames are EXR files, stills have a PNG beside.
 
-    A budget is that of all frames together: those to come share what is left. The record gets an entry for
-    each frame, and is written after each. The exposure is that of the PNG, and of the picture whose error is
-    estimated. ``done`` is called after each preset, with what it has where it was interrupted.
-    ``interrupted`` is not empty once somebody wants an end; the frame at hand is kept as it is. Whether all
-    frames are done is returned. MapsError: radiance that is not finite.
+    The record gets an entry for each frame, and is written after each. The exposure is that of the PNG, and
+    of the picture whose error is estimated. ``done`` is called after each preset, with what it has where it
+    was interrupted. ``interrupted`` is not empty once somebody wants an end; the frame at hand is kept as it
+    is. Whether all frames are done is returned. MapsError: radiance that is not finite.
     """
     total = sum(stage.frames for stage in stages)
     before = 0
@@ -127,10 +120,8 @@ def render_stages(mi: ModuleType, stages: Sequence[Stage], stop: Stop, record: R
             stage.move(held, number)
             title = stage.name if stage.frames == 1 else f"{stage.name} {number + 1}/{stage.frames}"
             at = before + number
-            left = (stop.budget - record.seconds) / (total - at) if stop.budget else None
-            limit = stop if left is None else replace(stop, budget=max(left, 1e-3))
             try:
-                rendered = render_frame(mi, scene, limit, seed=seed, name=f"{stage.name} {number}",
+                rendered = render_frame(mi, scene, stage.samples, seed=seed, name=f"{stage.name} {number}",
                                         exposure=exposure,
                                         report=lambda text, share: report(
                                             f"{title}: {text}", (at + share) / total),  # noqa: B023

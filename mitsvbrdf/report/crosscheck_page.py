@@ -67,7 +67,7 @@ def error_against_time(record: dict) -> Figure:
     titles = "Mean relative image error", "Gradient of the worst map, relative L2"
     for panel, title, tolerance in zip(panels, titles, tolerances):
         line = panel.axhline(tolerance, color=BOUND, linewidth=0.8, linestyle="--")
-        quiet(panel, title, 10, 8)
+        quiet(panel, title)
         panel.set_xlabel("seconds, forward and backward")
         logarithmic(panel)
     line.set_label("stated tolerance")

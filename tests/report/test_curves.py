@@ -9,7 +9,6 @@ import PIL.Image
 import pytest
 import torch
 
-from mitsvbrdf.report.charts import error_curve
 from mitsvbrdf.report.curves import curves
 from mitsvbrdf.report.pictures import picture_uri
 
@@ -36,15 +35,6 @@ def test_curves_are_logarithmic():
     long = [{"seconds": k + 1.0, "a": 1.0 / (k + 1)} for k in range(20_000)]
     points = curves(long, ["a"])["lines"][0]["points"]
     assert len(points) <= 1001 and points[-1][2] == 20_000
-
-
-def test_error_curve_is_the_same_file_in_every_run(tmp_path):
-    curve = [{"seconds": 0.5 * 2**k, "samples": 2**k, "error": 0.1 / 2 ** (k / 2)} for k in range(6)]
-    error_curve(tmp_path / "a.svg", [curve, curve[1:]], 0.02, "two")
-    error_curve(tmp_path / "b.svg", [curve, curve[1:]], 0.02, "two")
-    assert (tmp_path / "b.svg").read_bytes() == (tmp_path / "a.svg").read_bytes()
-    error_curve(tmp_path / "empty.svg", [[]])
-    assert "<svg" in (tmp_path / "empty.svg").read_text()
 
 
 def test_pictures_that_would_be_large_become_jpegs():
