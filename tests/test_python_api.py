@@ -67,7 +67,7 @@ def test_guesses_are_the_same_bits_under_any_default(mode):
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("config", [mv.HierarchicalConfig(iterations=8),
                                     mv.HybridConfig(width=4, iterations=3),
-                                    mv.GanConfig(width=4, iterations=3, precision="float32")],
+                                    mv.GanConfig(width=4, iterations=3)],
                          ids=lambda c: type(c).__name__)
 def test_fits_of_every_method_are_the_same_bits_under_any_default(mode, config):
     expected = fitted(config)
@@ -109,8 +109,7 @@ def test_fits_in_threads_are_those_of_one():
 
 @pytest.mark.slow
 def test_fits_of_other_methods_in_threads_are_those_of_one():
-    configs = [mv.HybridConfig(width=4, iterations=3, seed=1), mv.GanConfig(width=4, iterations=3,
-                                                                            precision="float32"),
+    configs = [mv.HybridConfig(width=4, iterations=3, seed=1), mv.GanConfig(width=4, iterations=3),
                mv.HierarchicalConfig(iterations=8)]
     expected = [fitted(config) for config in configs]
     with ThreadPoolExecutor(3) as pool:

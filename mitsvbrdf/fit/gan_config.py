@@ -13,7 +13,6 @@ from .detail_config import DetailConfig
 from .losses import Game
 
 Preset = Literal["minutes", "paper-one-stage", "paper-two-stage"]
-Precision = Literal["auto", "float32", "bfloat16"]
 GeneratorKind = Literal["all-photos", "two-stream"]
 Start = Literal["solved", "guess", "untrained"]
 
@@ -100,8 +99,6 @@ class GanConfig(FitConfig):
     """Clip a rendering only where its photo is clipped. Off: everywhere, which stops gradients."""
     grow: Switch = AS_PRESET
     """Training at a quarter and half the resolution first."""
-    precision: Precision = "auto"
-    """Numbers of the networks; renderer and losses use float32. auto: bfloat16 where it measures faster."""
     adversarial: float = AS_PRESET
     """Weight of the adversarial loss."""
     features: float = AS_PRESET
@@ -133,7 +130,7 @@ class GanConfig(FitConfig):
     @property
     def _of_guess(self) -> list[str]:
         """Settings given that only the game from the guess has."""
-        usual = PRESETS[self.preset] | {"crop": 0, "precision": "auto"}
+        usual = PRESETS[self.preset] | {"crop": 0}
         return [name for name, value in usual.items()
                 if name not in OF_SOLVED and getattr(self, name) not in (AS_PRESET, value)]
 

@@ -39,9 +39,9 @@ SMALL = {"hybrid": HybridConfig(width=8), "direct": DirectConfig(), "gan": GanCo
 # Of 64 px there are two phases; the second begins at iteration 10 of 24, the checkpoint is from iteration 5
 # or 13.
 RESUMED = {name: (config, 32, 13) for name, config in SMALL.items()} | {
-    "gan, bfloat16": (GanConfig(width=4, pictures=2, precision="bfloat16"), 64, 13),
+    "gan, grown": (GanConfig(width=4, pictures=2), 64, 13),
     "gan, before it grows": (GanConfig(width=4, pictures=2), 64, 5),
-    "gan, crops": (GanConfig(width=4, crop=16, features=1.0, paired=True, precision="float32"), 32, 13)}
+    "gan, crops": (GanConfig(width=4, crop=16, features=1.0, paired=True), 32, 13)}
 
 
 def with_limits(config, **limits):
@@ -272,7 +272,6 @@ def test_presets_are_the_papers():
 
 @pytest.mark.parametrize("settings, said", [
     ({"game": "rpgan"}, "relativistic"), ({"generator": "unet"}, "two-stream"),
-    ({"precision": "bf16"}, "bfloat16"),
     ({"adversarial": 0.0, "features": 0.0, "diffuse": 0.0, "smooth": 0.0}, "a loss"),
     ({"head_start": 1.5}, "head start"), ({"crop": 4}, "crop of 16"),
     ({"normal_roughness_steps": 5}, "two-stream"), ({"pictures": 0}, "pictures > 0"),

@@ -75,7 +75,7 @@ def test_rounds_of_the_fit(shots):
 
 @pytest.mark.parametrize("config", [
     DirectConfig(iterations=3), HybridConfig(iterations=3, width=8, adversarial=0.1),
-    GanConfig(iterations=2, width=8, precision="float32")], ids=lambda config: type(config).__name__)
+    GanConfig(iterations=2, width=8)], ids=lambda config: type(config).__name__)
 def test_maps_of_the_other_methods(shots, config):
     first, second, unmasked = (fit_svbrdf(each, ANALYTIC, config).svbrdf
                                for each in (*shots, replace(shots[0], measured=None)))

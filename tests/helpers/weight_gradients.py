@@ -1,7 +1,4 @@
-"""Gradients of a generator's weights through the whole method, of every renderer and of spoilt ones.
-
-The networks compute in float32 with all of them.
-"""
+"""Gradients of a generator's weights through the whole method, of every renderer and of spoilt ones."""
 
 from dataclasses import replace
 from unittest.mock import patch
@@ -17,7 +14,7 @@ from mitsvbrdf.render import make_renderer
 AFTER = (3, 4, 5, 6, 7)
 # The traced scene has no gradient to the light, and a fitted flash offset changes the loss: none fits it.
 METHODS = {
-    "gan": lambda **given: GanConfig(precision="float32", grow=False, flash_offset=False, **given),
+    "gan": lambda **given: GanConfig(grow=False, flash_offset=False, **given),
     "hybrid": lambda **given: HybridConfig(flash_offset=False, **given)}
 FAULTS = {
     "roughness squared twice": lambda svbrdf, views: (

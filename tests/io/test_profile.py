@@ -17,7 +17,7 @@ from mitsvbrdf.material.made import make_material
 from mitsvbrdf.render import make_renderer
 
 CONFIGS = {"hybrid": HybridConfig(width=8), "direct": DirectConfig(),
-           "gan": GanConfig(width=8, preset="paper-one-stage", precision="float32")}
+           "gan": GanConfig(width=8, preset="paper-one-stage")}
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ same views is rendered; the maps reported are those generated from the first pho
 the generator's weights are kept.
 """
 
-import contextlib
 import itertools
 from collections.abc import Callable
 
@@ -27,14 +26,7 @@ from ..parameters import Streams, from_units, streams_of
 from ..start import robust_start
 from ..task import FitTask
 from .conditioning import Conditioning, level, with_flash_at
-from .networks import (
-    AllPhotosGenerator,
-    PatchDiscriminator,
-    TwoStreamGenerator,
-    frozen,
-    is_faster_in_bfloat16,
-    seeded,
-)
+from .networks import AllPhotosGenerator, PatchDiscriminator, TwoStreamGenerator, frozen, seeded
 from .pictures import Pictures, PictureSource, seen_through
 
 FIRST_STEP = 0.02  # of the step size, at the least, while it rises: no step moves nothing
@@ -51,8 +43,6 @@ class Gan(Method[GanConfig]):
         self.start = (None if config.begins == "untrained" else
                       robust_start(task.capture, task.guess, config.bsdf, self.fixed))
         self.random = torch.Generator().manual_seed(config.seed)
-        self.bfloat16 = (config.precision == "bfloat16"
-                         or config.precision == "auto" and is_faster_in_bfloat16())
         # features and maps of what later substeps do not move
         self.resting: tuple[Tensor, dict[str, Tensor]] | None = None
         self.offset = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # of the flash, in patch sides
@@ -126,7 +116,7 @@ class Gan(Method[GanConfig]):
         if plays:
             fake, told = self._rendered(svbrdf, pictures), self._told(pictures)
             if first:
-                with profiled("discriminator"), self._networks():
+                with profiled("discriminator"):
                     logged["discriminator"] = self.discriminator.learn(
                         pictures.shown, fake.detach(), self.optimizers["judge"], config.game, told)
             with profiled("discriminator"), frozen(self.discriminator):
@@ -164,16 +154,14 @@ class Gan(Method[GanConfig]):
     def _out(self, pictures: Pictures, first: bool = True) -> dict[str, Tensor]:
         """Output of the generator before Tanh, in the window of the pictures."""
         g, side = self.generator, pictures.shown.shape[-1]
-        with self._networks():
-            if isinstance(g, TwoStreamGenerator):
-                if first or self.resting is None:
-                    with torch.set_grad_enabled(first and torch.is_grad_enabled()):
-                        code = g.encode(pictures.shown[:1])
-                        self.resting = code, g.decode(1, code, side)
-                out = g.decode(0, self.resting[0], side) | self.resting[1]
-            else:
-                out = g(self.scale.condition[..., *pictures.window])
-        out = {name: value.float() for name, value in out.items()}
+        if isinstance(g, TwoStreamGenerator):
+            if first or self.resting is None:
+                with torch.set_grad_enabled(first and torch.is_grad_enabled()):
+                    code = g.encode(pictures.shown[:1])
+                    self.resting = code, g.decode(1, code, side)
+            out = g.decode(0, self.resting[0], side) | self.resting[1]
+        else:
+            out = g(self.scale.condition[..., *pictures.window])
         return level(out) if self.fits_offset else out
 
     def _rendered(self, svbrdf: SVBRDF, pictures: Pictures) -> Tensor:
@@ -193,19 +181,13 @@ class Gan(Method[GanConfig]):
 
     def _verdict(self, shown: Tensor, fake: Tensor, told: Tensor | None) -> dict[str, Tensor]:
         """The generator's own losses of what the discriminator makes of its renderings."""
-        with self._networks():
-            seen = self.discriminator.activations(fake, told)
-            with torch.no_grad():
-                real = (self.discriminator.activations(shown, told)
-                        if self.config.game == "relativistic" or "features" not in self.unused else seen)
-        own = {"adversarial": lambda: losses.adversarial(real[-1].float(), seen[-1].float(),
-                                                         self.config.game),
-               "features": lambda: losses.features([r.float() for r in real[:-1]],
-                                                   [s.float() for s in seen[:-1]])}
+        seen = self.discriminator.activations(fake, told)
+        with torch.no_grad():
+            real = (self.discriminator.activations(shown, told)
+                    if self.config.game == "relativistic" or "features" not in self.unused else seen)
+        own = {"adversarial": lambda: losses.adversarial(real[-1], seen[-1], self.config.game),
+               "features": lambda: losses.features(real[:-1], seen[:-1])}
         return {name: loss() for name, loss in own.items() if name not in self.unused}
-
-    def _networks(self) -> contextlib.AbstractContextManager:
-        return torch.autocast("cpu", torch.bfloat16) if self.bfloat16 else contextlib.nullcontext()
 
     def _views(self) -> Views:
         return with_flash_at(self.views, self.offset) if self.fits_offset else self.views
@@ -234,12 +216,10 @@ class Gan(Method[GanConfig]):
     def state(self) -> dict[str, Tensor]:
         """Also the phase, and what it began with."""
         begun = {f"carried.{name}": value for name, value in self.scale.carried.items()}
-        return super().state() | begun | {"phase": torch.tensor(self.phase),
-                                          "bfloat16": torch.tensor(self.bfloat16)}
+        return super().state() | begun | {"phase": torch.tensor(self.phase)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state, in its phase."""
-        self.bfloat16 = bool(state["bfloat16"])
         self._begin(int(state["phase"]), part(state, "carried."))
         super().load_state(state)
 

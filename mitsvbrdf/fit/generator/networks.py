@@ -1,7 +1,6 @@
 """The networks: the paper's two-stream generator and patch discriminator, and the all-photos generator."""
 
 import contextlib
-import functools
 from collections.abc import Iterator
 
 import torch
@@ -9,13 +8,10 @@ import torch.nn.functional as F
 from torch import Tensor, nn
 
 from ...io.signals import PROCESS
-from ...io.timing import side_by_side
 from .. import losses
 from ..losses import Game
 from ..method import descend
 from ..parameters import STREAMS, Streams
-
-WORTH = 1.2  # times as fast, at least, that bfloat16 has to be for what the numbers lose
 
 
 @contextlib.contextmanager
@@ -117,7 +113,7 @@ class PatchDiscriminator(nn.Module):
               told: Tensor | None = None) -> float:
         """One step of training; returns the loss before it, NaN where no step was made."""
         both = torch.cat((photos, renderings)), None if told is None else torch.cat((told, told))
-        real, fake = self.activations(*both)[-1].float().chunk(2)
+        real, fake = self.activations(*both)[-1].chunk(2)
         loss = losses.discriminator(real, fake, game)
         return float(loss.detach()) + descend(loss, optimizer)
 
@@ -188,21 +184,3 @@ def frozen(module: nn.Module) -> Iterator[None]:
         yield
     finally:
         module.requires_grad_(True)
-
-
-@functools.cache
-def is_faster_in_bfloat16() -> bool:
-    """Whether a convolution like the generator's is faster in bfloat16, measured once, in about a second.
-
-    The instruction set does not tell: with AMX bfloat16 takes half the time, and one processor that
-    multiplies in it without AMX took 1.4 to 1.6 times as long as in float32.
-    """
-    with seeded(0):
-        layer, features = nn.Conv2d(64, 128, 4, stride=2, padding=1), torch.randn(1, 64, 64, 64)
-
-    def pass_through(bfloat16: bool) -> None:
-        with torch.autocast("cpu", torch.bfloat16, enabled=bfloat16):
-            torch.autograd.grad(layer(features).float().sum(), layer.weight)
-
-    seconds = side_by_side({"float32": lambda: pass_through(False), "bfloat16": lambda: pass_through(True)})
-    return seconds["float32"]["median"] > WORTH * seconds["bfloat16"]["median"]

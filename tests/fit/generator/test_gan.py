@@ -8,7 +8,6 @@ import torch.nn.functional as F
 from helpers import ANALYTIC, MITSUBA, photos_of
 
 from mitsvbrdf.fit import FitTask, GanConfig, fit_svbrdf, gan_config, losses, make_method
-from mitsvbrdf.fit.generator import networks
 from mitsvbrdf.fit.generator.networks import PatchDiscriminator
 from mitsvbrdf.fit.generator.pictures import PictureSource
 from mitsvbrdf.fit.start import robust_start
@@ -29,7 +28,7 @@ def growing(monkeypatch):
 
 
 def gan_of(capture, renderer=ANALYTIC, **settings):
-    config = GanConfig(**{"width": 4, "pictures": 2, "precision": "float32", "head_start": 0.0} | settings)
+    config = GanConfig(**{"width": 4, "pictures": 2, "head_start": 0.0} | settings)
     config.check()
     return make_method(FitTask(capture, renderer, config))
 
@@ -215,23 +214,3 @@ def test_what_later_substeps_do_not_move_is_computed_once(tiles):
         anew.step(0.0)
     assert len(encoded) == 2 * 2  # before and after the substep that moves it
     assert all(torch.equal(value, anew.state()[name]) for name, value in once.state().items())
-
-
-@pytest.mark.parametrize("float32, bfloat16, faster", [(0.1, 0.05, True), (0.1, 0.09, False),
-                                                       (0.1, 0.15, False)])
-def test_bfloat16_is_taken_where_it_is_faster(float32, bfloat16, faster, monkeypatch):
-    monkeypatch.setattr(networks, "side_by_side", lambda jobs: [job() for job in jobs.values()] and {
-        "float32": {"median": float32}, "bfloat16": {"median": bfloat16}})
-    assert networks.is_faster_in_bfloat16.__wrapped__() == faster
-
-
-@pytest.mark.parametrize("began", [True, False])
-def test_a_resumed_run_computes_as_it_began(began, tiles, monkeypatch):
-    for now in (began, not began):
-        monkeypatch.setattr("mitsvbrdf.fit.generator.gan.is_faster_in_bfloat16", lambda now=now: now)
-        gan = gan_of(tiles, precision="auto")
-        assert gan.bfloat16 == now
-        if now == began:
-            state = gan.state()
-    gan.load_state(state)
-    assert gan.bfloat16 == began
