@@ -6,13 +6,14 @@ stopped continues), with ``default`` the default alone, until it has settled (te
 """
 
 import json
+import statistics
 import sys
 from pathlib import Path
 
 import pandas as pd
 
 from mitsvbrdf.bench.plot import plot, svg
-from mitsvbrdf.bench.table import as_markdown, judged, markdown, summary
+from mitsvbrdf.bench.table import as_markdown, judged, note, summary, table
 
 HERE = Path(__file__).parent
 BUDGETS, SEEDS, HELD_OUT = [10, 30, 100], [0, 1, 2], [(7, 8), (4, 7)]
@@ -20,22 +21,54 @@ MAPS = ["diffuse", "specular", "roughness", "normal", "mean"]
 WITH_PUBLISHED = ["fake-022", "fake-030"]  # known materials of which errors are published
 
 
+def judged_by(row: dict) -> tuple:
+    """What is judged together: the kind of task, and the photos held out."""
+    return row["kind"], tuple(row.get("held_out", ()))
+
+
 def groups(record: dict, machine: str) -> list:
     """What is judged, held-out photos of captures first."""
     mine = [r for r in record["records"] if r["machine"] == machine]
-    found = list(judged(mine, record["published"]))
+    found = list(judged(mine))
     return sorted(found, key=lambda g: (g.records[0]["kind"] == "material",
                                         g.records[0].get("held_out") != [7, 8]))
 
 
-def each_capture(group) -> pd.DataFrame:
+def of_group(group, published: list) -> list:
+    """Published rows of the tasks of a group, and of the photos held out."""
+    names, (kind, held_out) = {r["name"] for r in group.records}, judged_by(group.records[0])
+    return [p for p in published if judged_by(p) == (kind, held_out) and p["name"] in names]
+
+
+def published_means(group, published: list) -> dict[str, float]:
+    """Whose -> mean of the published errors, of those that have one for each task of a group."""
+    found: dict[str, dict[str, float]] = {}
+    for row in of_group(group, published):
+        if group.error in row["errors"]:
+            found.setdefault(f"{row['method']}, published", {})[row["name"]] = row["errors"][group.error]
+    names = {r["name"] for r in group.records}
+    return {who: statistics.fmean(each.values()) for who, each in found.items() if set(each) == names}
+
+
+def markdown(groups: list, published: list) -> str:
+    """The tables of `bench` with published errors below, and a note below each."""
+    parts = []
+    for group in groups:
+        cells = table(group)
+        for who, error in published_means(group, published).items():
+            cells.loc[who] = f"{error:.4f}"
+        parts.append(f"## {group.title}\n\n{as_markdown(cells)}\n\n{note(group)}\n")
+    return "\n".join(parts)
+
+
+def each_capture(group, published: list) -> pd.DataFrame:
     """The error of every capture at the longest budget, median over seeds, beside what was published."""
     budget = max(r["budget"] for r in group.records)
     rows = pd.DataFrame([{"": r["name"], "who": f"`{r['method']}`", "error": r["errors"].get(group.error)}
                          for r in group.records if r["budget"] == budget]
                         + [{"": r["name"], "who": f"{r['method']}, published",
                             "error": r["errors"].get(group.error)}
-                           for r in group.published])
+                           for r in of_group(group, published)])
     order = list(dict.fromkeys(rows.dropna()["who"]))
     found = rows.groupby(["", "who"])["error"].median().unstack()[order]
     return found.map(lambda x: "–" if pd.isna(x) else f"{x:.4f}")
@@ -103,11 +136,12 @@ def page(record: dict) -> str:
     amd, intel = groups(record, "AMD EPYC"), groups(record, "Intel Xeon")
     maps = next(g for g in amd if g.error == "mean")
     both = [r for r in maps.records if r["name"] in WITH_PUBLISHED]
-    captures, materials = default(record["default"], record["published"])
+    published = record["published"]
+    captures, materials = default(record["default"], published)
     took = [r["seconds"] for r in record["default"]]
     versions = " and ".join(dict.fromkeys(r["version"] for r in record["default"]))
     title = "RMSE of maps: mean of fake-022 and fake-030"
-    with_published = next(judged(both, record["published"]))._replace(title=title)
+    with_published = next(judged(both))._replace(title=title)
     return f"""# Error against run time
 
 Fits at 256 px through `mitsuba` on two cores. `hierarchical` is the default method; `peers-baseline` is \
@@ -126,17 +160,17 @@ below these two tables is of an earlier default, without response curve and shar
 
 {as_markdown(materials)}
 
-{markdown(amd[:4])}
+{markdown(amd[:4], published)}
 `hierarchical` is lower on held-out photos 7 and 8 than Gao 2019 on 8 of 8 captures and than MaterialGAN on \
 7 of 8 (not on leather-blue). MaterialGAN, which saw all nine photos, is no measure of held-out photos. On \
 photos seen MaterialGAN is lower on cards-blue and wood-knotty (7, 8), and on five captures (4, 7).
 
 ## Each capture after 100 s, held-out photos 7 and 8
 
-{as_markdown(each_capture(amd[0]))}
+{as_markdown(each_capture(amd[0], published))}
 
-{markdown([g for g in amd if g.records[0]["kind"] == "material"])}
-{markdown([with_published])}
+{markdown([g for g in amd if g.records[0]["kind"] == "material"], published)}
+{markdown([with_published], published)}
 ## RMSE of each map after 100 s, mean of 6 known materials
 
 {as_markdown(maps_of(maps.records))}
@@ -152,7 +186,7 @@ The process is warm. The first guess comes before the loop, the uncertainty of t
 
 ## On an Intel Xeon
 
-{markdown(intel).replace("## ", "### ")}
+{markdown(intel, published).replace("## ", "### ")}
 ## From the start of a process to its end
 
 {as_markdown(starts(record["start"]))}
@@ -173,9 +207,15 @@ Intel Xeon, all renderers in turn. `mitsuba` draws texel centres and is the fast
 
 
 def figure(record: dict):
-    """Curves of held-out photos 7 and 8, and of the maps."""
+    """Curves of held-out photos 7 and 8, and of the maps; a line for every published error."""
     found = groups(record, "AMD EPYC")
-    return plot([found[0], next(g for g in found if g.error == "mean")])
+    shown = [found[0], next(g for g in found if g.error == "mean")]
+    drawn = plot(shown)
+    for axes, group in zip(drawn.axes, shown):
+        for look, (who, error) in zip(("--", ":", "-."), published_means(group, record["published"]).items()):
+            axes.axhline(error, color="0.4", linewidth=1, linestyle=look, label=who)
+        axes.legend(fontsize=7)
+    return drawn
 
 
 def measure(file: Path) -> dict:

@@ -1,11 +1,11 @@
-"""One picture: error against run time, a curve for every method, a line for every published number."""
+"""One picture: error against run time, a curve for every method."""
 
 from collections.abc import Sequence
 
 from matplotlib.figure import Figure
 
 from ..report.charts import svg_file as svg
-from .table import Judged, published_means, summary
+from .table import Judged, summary
 
 __all__ = ["plot", "svg"]
 
@@ -19,9 +19,6 @@ def plot(groups: Sequence[Judged]) -> Figure:
             line, = axes.plot(points["seconds"], points["median"], marker="o", markersize=4, label=method)
             axes.fill_between(points["seconds"], points["low"], points["high"], color=line.get_color(),
                               alpha=0.2)
-        for number, (who, error) in enumerate(published_means(group).items()):
-            axes.axhline(error, color="0.4", linewidth=1, linestyle=("--", ":", "-.")[number % 3],
-                         label=f"{who}, published")
         axes.set(xscale="log", yscale="log", xlabel="seconds of the loop", ylabel="RMSE")
         axes.set_title(group.title.replace(": ", ":\n", 1), fontsize=9)
         axes.legend(fontsize=7)

@@ -1,6 +1,5 @@
-"""One table: median and spread over seeds, of every method at every budget, beside published numbers."""
+"""One table: median and spread over seeds, of every method at every budget."""
 
-import statistics
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -19,24 +18,19 @@ class Judged(NamedTuple):
     title: str
     error: str
     records: list[Mapping[str, Any]]
-    published: list[Mapping[str, Any]]
 
 
-def judged(records: Iterable[Mapping[str, Any]],
-           published: Iterable[Mapping[str, Any]] = ()) -> Iterator[Judged]:
+def judged(records: Iterable[Mapping[str, Any]]) -> Iterator[Judged]:
     """Records by what judges them: materials, and captures by the photos held out; each by its errors."""
     groups: dict[tuple, list[Mapping]] = {}
     for record in records:
         groups.setdefault((record["kind"], tuple(record.get("held_out", ()))), []).append(record)
     for (kind, held_out), group in groups.items():
         names = {record["name"] for record in group}
-        theirs = [row for row in published if row["kind"] == kind and row["name"] in names
-                  and tuple(row.get("held_out", ())) == held_out]
         without = f" without photos {' and '.join(map(str, held_out))}" if held_out else ""
         for error, what in ERRORS[kind].items():
             if any(error in record["errors"] for record in group):
-                yield Judged(f"RMSE of {what}: mean of {len(names)} {KINDS[kind]}{without}", error, group,
-                             theirs)
+                yield Judged(f"RMSE of {what}: mean of {len(names)} {KINDS[kind]}{without}", error, group)
 
 
 def summary(records: Iterable[Mapping[str, Any]], error: str) -> pd.DataFrame:
@@ -64,21 +58,10 @@ def summary(records: Iterable[Mapping[str, Any]], error: str) -> pd.DataFrame:
     return found.sort_index(key=lambda level: level.map(order.index) if level.name == "method" else level)
 
 
-def published_means(group: Judged) -> dict[str, float]:
-    """Whose -> mean of the published errors, of those that have one for each task."""
-    names = {record["name"] for record in group.records}
-    found: dict[str, dict[str, float]] = {}
-    for row in group.published:
-        if group.error in row["errors"]:
-            found.setdefault(row["method"], {})[row["name"]] = row["errors"][group.error]
-    return {who: statistics.fmean(each.values()) for who, each in found.items() if set(each) == names}
-
-
 def table(group: Judged) -> pd.DataFrame:
     """Text for readers: a row for each method, a column for each budget, the best of each budget in bold."""
     found = summary(group.records, group.error)
     budgets = sorted({record["budget"] for record in group.records})
-    theirs = published_means(group)
     best = {budget: found.xs(budget, level="budget")["median"].min() for budget in budgets
             if budget in found.index.get_level_values("budget")}
     rows = {}
@@ -87,23 +70,23 @@ def table(group: Judged) -> pd.DataFrame:
             _cell(found.loc[method, budget], best[budget], found.loc[method]["seeds"].max())
             if (method, budget) in found.index else _absent(group.records, method, budget)
             for budget in budgets]
-    for who, error in theirs.items():
-        rows[f"{who}, published"] = [f"{error:.4f}"] * len(budgets)
     return pd.DataFrame.from_dict(rows, orient="index", columns=[f"{budget:g} s" for budget in budgets])
 
 
 def markdown(groups: Sequence[Judged]) -> str:
     """The tables of all groups as Markdown, with a note below each."""
-    parts = []
-    for group in groups:
-        found = summary(group.records, group.error)
-        seeds, ended = found["seeds"].max(), found[found["ended"]].groupby("method",
-                                                                           sort=False)["seconds"].min()
-        ends = "; ".join(f"`{method}` after {seconds:.3g} s" for method, seconds in ended.items())
-        note = f"Median of {seeds} seeds (quartiles)." if seeds > 1 else "One seed."
-        note += f" † ended by itself: {ends}." if ends else ""
-        parts.append(f"## {group.title}\n\n{as_markdown(table(group))}\n\n{note}\n")
-    return "\n".join(parts)
+    return "\n".join(f"## {group.title}\n\n{as_markdown(table(group))}\n\n{note(group)}\n"
+                     for group in groups)
+
+
+def note(group: Judged) -> str:
+    """What to know of a table: how many seeds, and which methods ended by themselves."""
+    found = summary(group.records, group.error)
+    seeds = found["seeds"].max()
+    ended = found[found["ended"]].groupby("method", sort=False)["seconds"].min()
+    ends = "; ".join(f"`{method}` after {seconds:.3g} s" for method, seconds in ended.items())
+    return ((f"Median of {seeds} seeds (quartiles)." if seeds > 1 else "One seed.")
+            + (f" † ended by itself: {ends}." if ends else ""))
 
 
 def as_markdown(cells: pd.DataFrame) -> str:

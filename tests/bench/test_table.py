@@ -50,17 +50,6 @@ def test_the_best_is_bold_and_what_is_missing_says_so():
     assert cells["10 s"]["`d`"] == "0.3000 †" and "`d` after 10 s" in markdown([group])
 
 
-def test_published_numbers_stand_beside_only_where_all_tasks_have_one():
-    rows = [{"method": who, "kind": "capture", "name": f"t{t}", "held_out": [7, 8],
-             "errors": {"held_out": 0.1 * (t + 1)}}
-            for who, count in (("Gao 2019", 4), ("few", 3)) for t in range(count)]
-    rows += [{**row, "method": "others", "held_out": [4, 7]} for row in rows]
-    group = next(judged(records(), rows))
-    cells = table(group)
-    assert list(cells.index) == ["`a`", "`b`", "Gao 2019, published"]
-    assert cells["10 s"]["Gao 2019, published"] == "0.2500"
-
-
 def test_curves_are_the_medians_and_the_picture_is_always_the_same():
     groups = list(judged(records()))
     assert [g.error for g in groups] == ["held_out", "seen"]
