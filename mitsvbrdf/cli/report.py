@@ -20,7 +20,7 @@ def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder o
     """Write OUT/report.html, one page about a fit that opens from disk, and its numbers, OUT/report.json.
 
     `fit` writes them too, with fewer checks. This command compares every renderer with the float64 twin, on
-    the fitted maps in the views of the fit. It also measures what the parts that the fit omits would cost.
+    the fitted maps in the views of the fit.
     """
     from ..capture import read_capture
     from ..fit.result import Fit
@@ -50,7 +50,5 @@ def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder o
         for found_wrong in record["crosscheck"]["violations"]:
             say(f"exceeded: {found_wrong['renderer']}: {found_wrong['what']} {found_wrong['value']:.3g} > "
                 f"{figure(found_wrong['tolerance'])}")
-    for row in record["saved"]["rows"][:-1] if record["saved"] else ():
-        say(f"{row['what']}, {row['renderer']}: {row['ratio']:.1f} times as long as what this fit needs")
     say_written(out / "report.html", out / "report.json")
     return 0

@@ -1,20 +1,14 @@
-"""What a fit's page says beyond ``fit.json``: checks of the renderer on this material, and what was saved."""
+"""What a fit's page says beyond ``fit.json``: checks of the renderer on this material."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-
-from torch import Tensor
+from collections.abc import Sequence
 
 from .. import color
 from ..errors import BackendError
 from ..io import Report
 from ..io.provenance import machine, versions
-from ..io.timing import side_by_side
 from ..material.maps import SVBRDF
-from ..measure.gradients import fixed_cotangent
-from ..measure.metrics import image_error
 from ..render import RENDERERS, Renderer, make_renderer
-from ..render.needs import Needs
 from ..verify.crosscheck import crosscheck
 from ..views import Views
 
@@ -25,8 +19,8 @@ LARGEST, MOST_VIEWS = 256, 25
 
 
 def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names: Sequence[str],
-               transfer: color.Transfer, fixed: Sequence[str] = (), grey_specular: bool = False,
-               quick: bool = False, report: Report = lambda text, share: None) -> dict:
+               transfer: color.Transfer, quick: bool = False,
+               report: Report = lambda text, share: None) -> dict:
     """Measure renderers on fitted maps, in the views of the fit.
 
     Without a renderer, that of a fit which is not ours, nothing is measured that needs it. A quick report
@@ -46,12 +40,9 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
     checked = None if not engines else crosscheck(
         {"fit": svbrdf.resized(side)}, shown, [svbrdf.bsdf], engines, 1 if quick else 5,
         names=[names[k] for k in chosen], transfer=transfer,
-        report=lambda text, share: report("renderers against float64", 0.7 * share))
-    saved = None if quick or renderer is None else _saved(
-        svbrdf.resized(side), shown, renderer, fixed, grey_specular,
-        lambda share: report("what was saved", 0.7 + 0.3 * share))
+        report=lambda text, share: report("renderers against float64", share))
     return {"schema_version": SCHEMA_VERSION, "quick": quick, "maps": maps,
-            "crosscheck": checked and _figures(checked, timed=not quick), "saved": saved,
+            "crosscheck": checked and _figures(checked, timed=not quick),
             "machine": machine(), "versions": versions()}
 
 
@@ -80,47 +71,3 @@ def _figures(record: dict, timed: bool) -> dict:
             "rough_from": record["rough_from"], "tolerances": record["tolerances"], "rows": rows,
             "violations": [{name: v[name] for name in ("renderer", "what", "value", "tolerance", "limit")}
                            for v in record["violations"]]}
-
-
-def _saved(svbrdf: SVBRDF, views: Views, renderer: Renderer, fixed: Sequence[str], grey_specular: bool,
-           report: Callable[[float], object], repeats: int = 5) -> dict:
-    """Forward and backward with everything computed, and with what the fit's material needs, in turn.
-
-    ``difference`` is the worst relative one between the picture of a row and that of the last row, the
-    leanest.
-    """
-    every = tuple(svbrdf.maps)
-    wanted = tuple(name for name in every if name not in fixed)
-    rows: list[tuple[str, str, tuple[str, ...], Needs | None, bool]] = []
-    if renderer.name in ("mitsuba", "mitsuba-scene"):
-        rows = [("everything, traced", "mitsuba-scene", every, Needs(), False)]
-    rows += [("everything", renderer.name, every, Needs(), False)] if renderer.name != "mitsuba-scene" else []
-    rows += [("what this fit needs", renderer.name, wanted, None, grey_specular)]
-    jobs = {what: _pass(make_renderer(name, renderer.variant or "llvm_ad_rgb", needs), svbrdf, views, maps,
-                        grey)
-            for what, name, maps, needs, grey in rows}
-    images = {what: job() for what, job in jobs.items()}
-    lean = rows[-1][0]
-    seconds = side_by_side(jobs, repeats)
-    report(1.0)
-    return {"resolution": svbrdf.resolution, "views": len(views), "rows": [
-        {"what": what, "renderer": name, "seconds": seconds[what],
-         "ratio": seconds[what]["median"] / seconds[lean]["median"],
-         "difference": None if what == lean else image_error(images[what], images[lean])["worst"]}
-        for what, name, *_ in rows]}
-
-
-def _pass(engine: Renderer, svbrdf: SVBRDF, views: Views, wanted: Sequence[str],
-          grey_specular: bool) -> Callable[[], Tensor]:
-    def forward_and_backward() -> Tensor:
-        leaves: Mapping[str, Tensor] = {name: value.detach().clone().requires_grad_(name in wanted)
-                                        for name, value in svbrdf.maps.items()}
-        if grey_specular and "specular" in wanted:
-            one = svbrdf["specular"][..., :1].detach().clone().requires_grad_()
-            leaves = {**leaves, "specular": one.expand_as(svbrdf["specular"])}
-        image = engine.render(SVBRDF(svbrdf.bsdf, leaves), views)
-        if image.requires_grad:  # not where all maps are fixed
-            image.backward(fixed_cotangent(image.shape))
-        return image.detach()
-
-    return forward_and_backward

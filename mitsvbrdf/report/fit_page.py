@@ -84,9 +84,8 @@ def write_report(fit: Fit | str | Path, quick: bool = False, held_out: Capture |
     photos = [{"name": name, "held_out": False, "rmse": rmse, "rerendered": f"rerendered/{name}.png",
                "photo": _there(f"photos/{name}.png", into, found.path)}
               for name, rmse in found.record["per_photo"].items()]
-    measured = fit_report(found.svbrdf, found.views, engine, names=found.names, fixed=found.fixed,
-                          transfer=found.record["capture"]["transfer"], quick=quick, report=report,
-                          grey_specular=found.record["config"]["grey_specular"])
+    measured = fit_report(found.svbrdf, found.views, engine, names=found.names,
+                          transfer=found.record["capture"]["transfer"], quick=quick, report=report)
     if found is not fit and not found.unchanged():
         raise OutputError("the same fit as a moment ago", f"another one in {found.path}", "run it again")
     record = measured | {"photos": photos + predicted, "held_out_rmse": error}
@@ -154,7 +153,8 @@ def _write_page(found: Fit, record: dict, into: Path) -> None:
     side = int(max(SMALLEST_PHOTO, min(LARGEST_PHOTO, PHOTOS_WIDE / len(record["photos"])**0.5)))
     write_page(into / "report.html", "report/report.html", fit=fit, record=record,
                title=f"{material_name(found)}: recovered material",
-               maps=_maps(found), front=header(found, record["quick"]), viewer=viewer_html(found.svbrdf),
+               maps=_maps(found), front=header(found, record["quick"]), metres=found.side_metres,
+               viewer=viewer_html(found.svbrdf),
                photos=[_photo(photo, side, into, found.path) for photo in record["photos"]],
                curves=error_and_losses(fit["trace"]),
                ramp=picture_uri(magma(torch.linspace(0, 1, 256).expand(8, 256))), unknown=UNKNOWN,

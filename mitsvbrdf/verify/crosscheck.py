@@ -67,7 +67,7 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
             jobs[len(found) - 1] = partial(_seconds, renderer, svbrdf, views)
             if error_maps is not None:
                 error_maps[name, bsdf, renderer.name] = error_map
-    turns = in_turns(jobs, repeats, 0, lambda share: report("run times", 0.7 + 0.3 * share))
+    turns = in_turns(jobs, repeats, lambda share: report("run times", 0.7 + 0.3 * share))
     for number, passes in turns.items():
         forward, backward = zip(*passes)
         found[number]["seconds"] = {"forward": spread(forward), "backward": spread(backward)}
