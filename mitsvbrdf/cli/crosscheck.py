@@ -31,7 +31,7 @@ def crosscheck(
                         arg(help="Which renderer to compare.")] = "all",
     json_file: options.JsonFile = None,
     html_file: Annotated[Path | None, arg(
-        name="html", help="Write a page with figures, plot and error maps.")] = None,
+        name="html", help="Write a page with figures and error maps.")] = None,
     repeats: Annotated[int, arg(help="Timed passes of each configuration, in turn with all others.")] = 5,
     resolution: Annotated[int | None, arg(
         help="Side of the maps, by area averages. Default: 256; 128 for the built-in set.")] = None,
@@ -117,7 +117,6 @@ def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
         [None if row["gradients"]["cosine"] is None else 1 - row["gradients"]["cosine"] for row in rows])
     if texels == "rough" or all(row["texels"] == "smooth" for row in record["summary"]):
         add("display, worst", None, None, [row["display"] for row in rows])
-        add("FLIP, worst", None, None, [row["flip"] for row in rows])
         for way in ("forward", "backward"):
             add(way, None, None, [row["seconds"][way] for row in rows], seconds)
     return table

@@ -1,8 +1,8 @@
 """Self-contained HTML pages: one file that opens from disk, in light and dark, with no network request.
 
-A page computes nothing: it gets numbers that stand in a JSON, and pictures that are made here from tensors or
-by matplotlib. Its template stands beside the module that fills it; ``report/base.html`` holds the look they
-share. Jinja2 and matplotlib are loaded with the first page.
+A page computes nothing: it gets numbers that stand in a JSON, and pictures that are made here from tensors.
+Its template stands beside the module that fills it; ``report/base.html`` holds the look they share. Jinja2 is
+loaded with the first page.
 """
 
 from __future__ import annotations

@@ -5,7 +5,6 @@ Figures are counted over the texels of roughness 0.1 and more (``rough``), where
 float32 allows there (:mod:`mitsvbrdf.verify.float32_limits`).
 """
 
-import contextlib
 import math
 import statistics
 from collections.abc import Iterable, Mapping, MutableMapping, Sequence
@@ -16,7 +15,6 @@ import torch
 from torch import Tensor
 
 from .. import color
-from ..errors import BackendError
 from ..io import Report
 from ..io.entry import entry
 from ..io.provenance import machine, versions
@@ -24,7 +22,7 @@ from ..io.timing import in_turns, spread
 from ..material.corner_cases import CONVERSION, as_bsdf
 from ..material.maps import SVBRDF, Bsdf
 from ..measure.gradients import Measured, render_and_gradients
-from ..measure.metrics import error_statistics, flip, gradient_error, relative_error
+from ..measure.metrics import error_statistics, gradient_error, relative_error
 from ..measure.tolerances import ROUGH_FROM, TOLERANCES, UNIT_ROUNDOFF
 from ..render import Renderer, make_renderer
 from ..render.needs import scene_needs
@@ -47,7 +45,7 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
             :func:`mitsvbrdf.material.corner_cases.as_bsdf`.
         repeats: timed passes of each configuration, in turn with all others.
         names: of the views; default: 00, 01, ...
-        transfer: how display values and FLIP encode light.
+        transfer: how display values encode light.
         error_maps: filled with the relative error of each configuration's worst view, R x R, largest channel,
             by (material, BSDF, renderer).
 
@@ -105,11 +103,6 @@ class _Case:
         with torch.no_grad():
             image = renderer.render(self.svbrdf, self.views)
         off = relative_error(image, self.exact.image)
-        look: dict[str, float | None] = {"mean": None, "worst": None}
-        with contextlib.suppress(BackendError):  # without the extra; it decides nothing here
-            looks = torch.stack([flip(torch.nan_to_num(a), b, self.transfer)
-                                 for a, b in zip(image, self.exact.image)])
-            look = {"mean": float(looks.mean()), "worst": float(looks.max())}
         shown, wanted = (color.to_display(x, self.transfer) for x in (image.double(), self.exact.image))
         shown = (shown - wanted).abs()
         error_map = torch.nan_to_num(off.abs(), nan=torch.inf).amax(dim=-1)
@@ -119,7 +112,7 @@ class _Case:
                             renderer.name)
         return {"omitted": [{"what": what, "why": reason} for what, reason in needs.omitted],
                 **{name: self._figures(texels, off, got) for name, texels in self.classes.items()},
-                "display": _finite({"mean": float(shown.mean()), "worst": float(shown.max())}), "flip": look,
+                "display": _finite({"mean": float(shown.mean()), "worst": float(shown.max())}),
                 "worst_texels": [texel for texels in self.classes.values()
                                  for texel in self._worst_texels(image, off, texels)],
                 "worst_view": self.names[worst]}, error_map[worst]
@@ -211,7 +204,6 @@ def _summary_row(group: list[dict], texels: str) -> dict:
                       "relative_l2": largest(value for limit in limits
                                              for value in limit["gradients"].values())},
             "display": largest(c["display"]["worst"] for c in group),
-            "flip": largest(c["flip"]["worst"] for c in group),
             "seconds": {way: statistics.median(c["seconds"][way]["median"] for c in group)
                         for way in ("forward", "backward")}}
 

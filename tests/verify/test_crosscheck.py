@@ -2,7 +2,6 @@
 
 import json
 import re
-import sys
 
 import pytest
 import torch
@@ -151,14 +150,6 @@ def test_command_on_a_fit(tmp_path, capsys):
     assert "9 views of builtin:grid" in printed
     assert "all stated tolerances hold" in printed and page.is_file()
     assert "omitted by analytic: light falloff" in printed
-
-
-def test_without_flip_all_else_is_there(monkeypatch):
-    monkeypatch.setitem(sys.modules, "flip_evaluator", None)  # as where the extra is not installed
-    record = crosscheck({"leather": make_material("leather", 16)}, GRID, BOTH, [ANALYTIC], repeats=1)
-    assert record["configurations"] and not record["violations"]
-    for each in record["configurations"]:
-        assert each["flip"] == {"mean": None, "worst": None} and each["rough"]["image"]["mean"] < 1e-6
 
 
 def test_a_black_material_has_figures_too():

@@ -12,7 +12,7 @@ from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.gradients import render_and_gradients
 from mitsvbrdf.measure.metrics import image_error
 from mitsvbrdf.measure.tolerances import TOLERANCES
-from mitsvbrdf.report.crosscheck_page import error_against_time, write_crosscheck_page
+from mitsvbrdf.report.crosscheck_page import write_crosscheck_page
 from mitsvbrdf.verify.crosscheck import crosscheck
 
 
@@ -42,23 +42,6 @@ def test_figures_are_those_of_the_metrics():
     for name, g in c["rough"]["gradients"].items():
         off = (got.gradients[name].double() - exact.gradients[name]).norm() / exact.gradients[name].norm()
         assert g["relative_l2"] == pytest.approx(float(off), rel=1e-9)
-
-
-def test_the_plot_shows_the_figures_of_the_record(real):
-    images, gradients = error_against_time(real[0]).axes[:2]
-    points: dict[str, list] = {"image": [], "gradients": []}
-    for c in real[0]["configurations"]:
-        texels = c["rough"] if c["rough"] else c["smooth"]
-        seconds = c["seconds"]["forward"]["median"] + c["seconds"]["backward"]["median"]
-        worst = sorted(g["relative_l2"] for g in texels["gradients"].values()
-                       if g["relative_l2"] is not None)[-1]
-        for name, error in (("image", texels["image"]["mean"]), ("gradients", worst)):
-            points[name] += [(seconds, error, not c["rough"])] if error else []
-    for panel, wanted in ((images, points["image"]), (gradients, points["gradients"])):
-        lines = [bar.lines[0] for bar in panel.containers]
-        assert wanted and wanted == [(line.get_xdata()[0], line.get_ydata()[0],
-                                      line.get_markerfacecolor() == "none") for line in lines]
-    assert {hollow for *_, hollow in points["image"]} == {True, False}
 
 
 def test_page_shows_every_configuration_and_needs_no_network(real, tmp_path):
