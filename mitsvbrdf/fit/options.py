@@ -21,7 +21,7 @@ FORMER = {"own": "detail_spread", "tails": "highlight_reach", "likeness": "simil
           "independent": "remove_burn_in", "rivals": "multi_start"}
 # settings of earlier fits, whose fit.json is still read
 GONE = ("guessed_normal", "highlight_aware", "kl", "average", "fresh_pictures", "integrated",
-        "marginalise")
+        "marginalise", "precision")
 
 
 @dataclass(frozen=True)

@@ -166,6 +166,7 @@ def test_settings_of_the_other_game_begin_at_the_guess(photos):
         GanConfig(start="solved", preset="paper-one-stage").check()
     former = {"method": "gan", "preset": "minutes"}
     assert [config_of(former | {"start": old}).start for old in (True, False)] == ["guess", "untrained"]
+    assert config_of(former | {"start": "guess", "precision": "auto", "average": 0.99}).start == "guess"
 
 
 @pytest.mark.slow
