@@ -3,7 +3,6 @@
 :func:`compare` does the same for maps of several methods.
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -15,6 +14,7 @@ from ..capture import Capture
 from ..errors import ConfigError
 from ..fit.result import Fit
 from ..material.maps import SVBRDF
+from ..measure.metrics import of_all
 from ..measure.rerender import rerender, rerender_errors
 from ..render import Renderer
 from ..views import Views, shift_lights
@@ -47,8 +47,9 @@ def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Render
     total, each = rerender_errors(renderer, svbrdf.resized(capture.resolution), views, capture)
 
     def apart(found: dict) -> dict:
-        errors = found["per_photo"]
-        return found | {"rmse_seen": _together(errors, seen), "rmse_held_out": _together(errors, held_out)}
+        parts = {"rmse_seen": seen, "rmse_held_out": held_out}
+        return found | {part: of_all([found["per_photo"][name] for name in names]) if names else None
+                        for part, names in parts.items()}
 
     stated = evaluate_capture(svbrdf, capture, renderer, fit.flash_offset, priors)
     refined = stated.pop("refined", None)
@@ -74,10 +75,6 @@ def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
     for part, values in parts.items():
         values[list(rows)] = getattr(stored, part)[list(rows.values())].to(values.dtype)
     return replace(views, **parts), [capture.names[row] for row in rows]
-
-
-def _together(errors: Mapping[str, float], names: list[str]) -> float | None:
-    return math.sqrt(sum(errors[name]**2 for name in names) / len(names)) if names else None
 
 
 def _words(fit: Fit, fitted: list[str], capture: Capture) -> str:

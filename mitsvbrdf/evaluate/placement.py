@@ -12,6 +12,7 @@ from ..capture import Capture, read_capture
 from ..errors import CaptureError
 from ..fit.result import Fit
 from ..material.maps import SVBRDF
+from ..measure.metrics import of_all
 from ..measure.rerender import rerender
 from ..render import Renderer
 from ..views import Falloff, Views, nine_view_grid, shift_lights
@@ -79,4 +80,4 @@ def predict(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
     found = [rerender(renderer, material, lit.pick([k]), capture.pick([number]))
              for k, number in enumerate(capture.index)]
     each = [error for _, error, _ in found]
-    return torch.cat([images for images, _, _ in found]), (sum(e * e for e in each) / len(each)) ** 0.5, each
+    return torch.cat([images for images, _, _ in found]), of_all(each), each
