@@ -53,13 +53,14 @@ def test_a_whole_round(options, losses, shots, tmp_path, capsys):
                      "--overwrite"]) == 0
     assert set(json.loads(figures.read_text())) == {"diffuse", "specular", "roughness", "normal", "mean"}
 
-    relit = tmp_path / "relit"
-    assert cli.main(["render", str(out), "--views", str(shots), "-o", str(relit)]) == 0
-    assert len(list(relit.glob("*.exr"))) == 9
+    for extra in ([], ["--diffuse", "guessed"]):
+        folder = tmp_path / f"relit{len(extra)}"
+        assert cli.main(["render", str(out), "--views", str(shots), "-o", str(folder), *extra]) == 0
+        assert len(list(folder.glob("*.exr"))) == 9
 
     # Rendering the fitted maps for the views of the fit gives the files of `rerendered` but for the flash
     # offset.
-    a = images.read_image(relit / "00.exr", ValueError)
+    a = images.read_image(tmp_path / "relit0/00.exr", ValueError)
     b = images.read_image(out / "rerendered/00.exr", ValueError)
     assert (a - b).abs().mean() < 0.1 * b.mean()
 
