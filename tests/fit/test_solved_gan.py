@@ -190,3 +190,12 @@ def test_begun_at_the_truth_the_game_keeps_it(tiles, photos):
         method.step(step / 60)
     assert method.stage == GAME and method.steps == 60
     assert max(map_rmse(method.estimate()[0], tiles).values()) < 0.01  # the game's own maps: 0.09
+
+
+def test_a_share_of_the_steps_is_no_share_of_the_solvers_time(photos):
+    cut, going = (SolvedGan(FitTask(photos, ANALYTIC, GanConfig(budget=1200.0, iterations=steps)))
+                  for steps in (None, 200))
+    for method in (cut, going):
+        method.step(0.0)
+        method.step(0.5)
+    assert cut.stage > 0 and going.stage == 0
