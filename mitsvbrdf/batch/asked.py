@@ -79,7 +79,7 @@ class Asked:
     @property
     def cost(self) -> float:
         """A guess of its seconds, to begin with the largest: the default fit takes 4 s a photo of 256 px."""
-        budget, photos = self.config.limited().budget or PATIENCE, 9
+        budget, photos = self.config.limited(self.options.resolution).budget or PATIENCE, 9
         if not isinstance(self.config, HierarchicalConfig):
             return budget
         if not is_url(self.entry.source):
@@ -89,7 +89,7 @@ class Asked:
     @property
     def limit(self) -> float | None:
         """Seconds after which it counts as hanging; None for a fit that ends after iterations."""
-        budget = self.config.limited().budget
+        budget = self.config.limited(self.options.resolution).budget
         return None if budget is None else PATIENCE + BUDGETS * budget
 
 

@@ -51,7 +51,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     Raises:
         ConfigError: options out of range, or a checkpoint of another fit.
     """
-    config = (config or HierarchicalConfig()).limited()
+    config = (config or HierarchicalConfig()).limited(capture.resolution)
     config.check()
     stated = capture.notes
     with profiled("setting up"):

@@ -45,6 +45,8 @@ def check_numbers(config: Any, positive: Sequence[str]) -> None:
         if not (value > 0 or value == 0 and name not in positive) or value > most:
             raise ConfigError(f"{name} {least} and <= {most:g}", str(value), "give such a number")
 
+LARGE = 1024  # texels a side; the default seconds suffice for so many
+
 
 @dataclass(frozen=True)
 class FitConfig:
@@ -57,7 +59,8 @@ class FitConfig:
     guess: GuessMethod = "robust"
     """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
     budget: float | None = None
-    """Stop after so many seconds. Default: hierarchical, hybrid 120; direct 60; gan 300 or its preset's."""
+    """Stop after so many seconds. Default: hierarchical, hybrid 120; direct 60; gan 300 or its preset's; at
+    2048 px twice, at 4096 px four times as many."""
     iterations: int | None = None
     """Stop after this many iterations (with --budget: whichever comes first)."""
     seed: int = 0
@@ -80,9 +83,13 @@ class FitConfig:
                               "give one of them a weight > 0")
         check_numbers(self, POSITIVE)
 
-    def limited(self) -> FitConfig:
-        """Itself with the method's default limit filled in where none was given."""
-        return self if self.budget or self.iterations else replace(self, **self.default_limit)
+    def limited(self, resolution: int) -> FitConfig:
+        """Itself with the method's default limit where none was given, longer for large maps."""
+        if self.budget or self.iterations:
+            return self
+        limit = self.default_limit
+        return replace(self, **limit | {name: seconds * max(1.0, resolution / LARGE)
+                                        for name, seconds in limit.items() if name == "budget"})
 
     @property
     def falloff(self) -> Falloff:

@@ -46,7 +46,8 @@ class Loop:
     def __init__(self, method: Method, capture: Capture, renderer: Renderer, config: FitConfig,
                  checkpoint: Path | None = None, report: Callable[[dict, float], None] | None = None,
                  live: Live | None = None) -> None:
-        self.method, self.capture, self.renderer, self.config = method, capture, renderer, config.limited()
+        self.method, self.capture, self.renderer = method, capture, renderer
+        self.config = config.limited(capture.resolution)
         self.checkpoint, self.report, self.live = checkpoint, report, live
         self.iteration, self.seconds = 0, 0.0
         self.undone: list[dict] = []  # iteration and reason of each step taken back

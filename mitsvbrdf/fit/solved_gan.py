@@ -57,7 +57,7 @@ class SolvedGan(Method[GanConfig]):
         self.task, self.stage, self.began, self.steps = task, 0, 0.0, 0
         self.spared = spared(task.capture, task.config.seed)
         self.without = replace(task, capture=held_out(task.capture, self.spared), own_guess=None)
-        longest = HierarchicalConfig().default_limit["budget"]
+        longest = HierarchicalConfig().limited(task.capture.resolution).budget or math.inf
         self.solvers = [self._solver(task, task.config.budget and min(task.config.budget, longest))]
         self.answer: tuple[SVBRDF, Views] | None = None  # of all photos
         self.game: DetailTraining | None = None
