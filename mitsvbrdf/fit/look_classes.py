@@ -25,7 +25,7 @@ from ..color import CLIPPED
 from ..io.layout import Layout
 from ..material.maps import SVBRDF
 from ..views import Views, texel_positions
-from .hierarchical.lobes import KINDS
+from .hierarchical.lobes import KINDS, METAL
 
 CLASSES = 5  # those that the photo does not need share their look with others
 NOISE = 0.01  # of display values: 8 bits, and what so few classes lack
@@ -41,6 +41,7 @@ BEGUN = {"lightness": 0.15, "tint": 0.02, "worn": 0.1}
 ROUGHNESS, TINT, RELIEF, PLACE, POWER = 0.15, 0.05, (-2.0, 1.0), 0.15, 0.7
 SURE = 16.0  # times as sure is where and how strong the flash is, and that F0 is a dielectric's or any other
 BRIGHT, DARK = 1e-4, 1e-5  # least of linear colours, of classes and of texels
+TINY = 1e-12  # least variance of a log
 RINGS, EVEN = 8, 0.02  # of equal half angle whose texels are alike; deviation of texels that nothing shows
 
 
@@ -116,11 +117,17 @@ class LookClasses:
         return half[:, :2] / half[:, 2:], white / half[:, 2:] / math.pi
 
     def posterior(self, pixels: Pixels, nodes: Tensor) -> Posterior:
-        """What M pixels may be, at nodes M x J x 3: standard normal numbers of slopes and log roughness."""
+        """What M pixels may be, at nodes M x J x 3: standard normal numbers of slopes and log roughness.
+
+        A narrow lobe explains a pixel by slopes on a thin ring around the half vector. Few nodes meet it, so
+        a node stands for its surroundings, where the lobe is linear in these numbers.
+        """
         q, white = self.lit(pixels.at)
         q, noise = q[:, None, None], (pixels.noise / white)[:, None, None]
-        tail = 1 + TAIL * nodes[..., :2].square().sum(dim=-1, keepdim=True)
-        slopes = (nodes[..., :2] * tail)[:, None] * self.relief[None, :, None, None]
+        wide = nodes.shape[1] ** (-1 / 3)  # standard deviations
+        nodes = nodes * math.sqrt(1 - wide**2)  # with what is around them as wide as before
+        tail = 1 + TAIL * nodes[..., :2].square().sum(dim=-1)[:, None]
+        slopes = (nodes[:, None, :, :2] * tail[..., None]) * self.relief[None, :, None, None]
         worn = (nodes[:, None, :, 2] * self.worn[:, None]).exp()
         roughness = (self.roughness[:, None] * worn).clamp(0.05, 1)
         length = (1 + slopes.square().sum(-1)) * (1 + q.square().sum(-1))
@@ -128,22 +135,31 @@ class LookClasses:
         sine2 = ((slopes - q).square().sum(-1)
                  + (slopes[..., 0] * q[..., 1] - slopes[..., 1] * q[..., 0]) ** 2) / length
         alpha2 = roughness**4
-        lobe = (alpha2 * cosine / (alpha2 * cosine**2 + sine2) ** 2
-                / (cosine + (alpha2 + (1 - alpha2) * cosine**2).sqrt()) ** 2)[..., None]
+        broad = alpha2 * cosine**2 + sine2
+        lobe = alpha2 * cosine / (broad * (cosine + (alpha2 + (1 - alpha2) * cosine**2).sqrt())) ** 2
+        # variance of the log of the lobe around a node: of slopes, and of roughness
+        slope2 = 16 * sine2 / length * (wide * tail * self.relief[:, None] / broad) ** 2
+        rough2 = 16 * (wide * self.worn[:, None] * (1 - 2 * alpha2 * cosine**2 / broad)) ** 2
         cosine, mean = cosine[..., None], self.diffuse[:, None]
-        glossy = lobe * self.specular[:, None]
+        glossy = lobe[..., None] * self.specular[:, None]
         off = (pixels.shown / white)[:, None, None] - cosine * mean - glossy
         off = torch.where(pixels.clipped[:, None, None] & (off < 0), 0.0, off)
         tint = (2.2 * self.tint[:, None, None] * mean.clamp_min(BRIGHT) ** (1.2 / 2.2)) ** 2
         # given, not sought: else a model of exact photos shrinks its lobe to shrink this noise
         own = cosine**2 * tint + noise**2 + (MODEL * glossy.detach()) ** 2
-        along = cosine * self.lightness[:, None, None] * mean
-        pull, worth = (along * off / own).sum(-1), 1 + (along**2 / own).sum(-1)
-        chi2 = (off**2 / own).sum(-1) - pull**2 / worth
+        # two normal numbers besides, of lightness and of the lobe: integrated out
+        light, shine = (cosine * self.lightness[:, None, None] * mean,
+                        glossy * (slope2 + rough2 + TINY).sqrt()[..., None])
+        pull, push = ((by * off / own).sum(-1) for by in (light, shine))
+        one, two = (1 + (by**2 / own).sum(-1) for by in (light, shine))
+        both = (light * shine / own).sum(-1)
+        worth = one * two - both**2
+        lighter, shinier = (two * pull - both * push) / worth, (one * push - both * pull) / worth
+        chi2 = (off**2 / own).sum(-1) - pull * lighter - push * shinier
         likely = (-(chi2 + own.log().sum(-1) + worth.log()) / 2 + self.share[:, None]
                   - white.log().sum(-1)[:, None, None])  # of the radiance shown, not of its share of white
-        left = off - along * (pull / worth)[..., None]
-        gain = self.lightness[:, None, None] * mean * (pull / worth)[..., None] + cosine * tint * left / own
+        left = off - light * lighter[..., None] - shine * shinier[..., None]
+        gain = self.lightness[:, None, None] * mean * lighter[..., None] + cosine * tint * left / own
         return Posterior(likely - math.log(nodes.shape[1]), slopes, roughness, (mean + gain).clamp(0, 1))
 
     def prior(self) -> Tensor:
@@ -153,7 +169,8 @@ class LookClasses:
         colour = (encoded - level[:, None]).square().sum(dim=1) / 2
         usual = (math.log(share / spread / math.sqrt(2 * math.pi) * (TINT / tint) ** 2)
                  - ((level - mean) / spread) ** 2 / 2 - colour / tint**2)
-        specular = SURE * torch.logaddexp(usual, math.log(1 - share) - colour / TINT**2)
+        between = ((METAL - level).clamp_min(0) / KINDS[1][1]) ** 2 / 2  # few materials are
+        specular = SURE * torch.logaddexp(usual, math.log(1 - share) - colour / TINT**2 - between)
         apart = (self.roughness - (self.share.exp() * self.roughness).sum()) / ROUGHNESS
         rough = (self.relief.log() - RELIEF[0]) / RELIEF[1]
         each = specular - apart**2 / 2 - rough**2 / 2

@@ -46,12 +46,13 @@ def test_a_material_of_one_look_is_met_where_the_flash_stands_aside():
     assert photo.photos.max() < 0.9
     numbers = LookClasses.start(torch.full((5, 3), 0.2 ** (1 / 2.2)), 0.4, 0.3, [0.1] * 5)
     classes, pixels = LookClasses(numbers, dim, True), Pixels.of(photo)
-    found = classes.posterior(pixels, torch.zeros(len(pixels.at), 1, 3))
+    still = torch.zeros(len(pixels.at), 1000, 3)  # of so many, each stands for next to nothing but itself
+    found = classes.posterior(pixels, still)
     # Schlick's F0 without its rise, and cosines to the half vector: 0.05 sides aside they differ by 1e-3
     assert (found.diffuse - 0.2).abs().max() < 4e-3
     numbers = LookClasses.start(torch.full((5, 3), 0.2 ** (1 / 2.2)), 0.5, 0.3, [0.1] * 5)
     other = LookClasses(numbers, dim, True)
-    assert other.posterior(pixels, torch.zeros(len(pixels.at), 1, 3)).likely.mean() < found.likely.mean() - 1
+    assert other.posterior(pixels, still).likely.mean() < found.likely.mean() - 1
 
 
 def test_nodes_are_standard_normal_numbers():
@@ -193,3 +194,16 @@ def test_lobes_take_the_slopes_that_means_lack():
     assert lost == pytest.approx(torch.full((4,), 0.01), rel=0.1)
     roughness = material(classes.texels(found, classes.specular), lost, 2)["roughness"]
     assert roughness.square() == pytest.approx(torch.full((2, 2, 1), (0.09**2 + 0.02) ** 0.5), rel=0.05)
+
+
+def test_few_nodes_tell_the_likelihood_of_a_narrow_lobe():
+    """Many nodes are the integral, whatever a node stands for."""
+    slopes = 0.08 * torch.randn(16, 16, 2, generator=torch.Generator().manual_seed(0))
+    normal = torch.nn.functional.normalize(torch.nn.functional.pad(slopes, (0, 1), value=1.0), dim=-1)
+    truth = flat(16, specular=0.35, roughness=0.28, diffuse=0.0)
+    truth = type(truth)("roughconductor", dict(truth.maps) | {"normal": normal})
+    pixels = Pixels.of(photograph(truth, VIEW, make_renderer("analytic")))
+    classes = LookClasses(LookClasses.start(torch.full((5, 3), 0.002), 0.28, 0.35, [0.08] * 5), VIEW, True)
+    few, many = (float(classes.posterior(pixels, nodes(len(pixels.at), count, 0)).likely.flatten(1)
+                       .logsumexp(1).mean()) for count in (16, 2048))
+    assert few == pytest.approx(many, abs=0.6)  # off by 4 where a node stands for itself alone
