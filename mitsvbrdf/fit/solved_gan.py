@@ -4,7 +4,7 @@ The default method solves the photos twice: all of them, and all but patches tha
 one photo). The game of :mod:`.generator.detail` begins at the second answer and sees none of these patches
 either. Each map stays within what the photos leave open. Now and then the change of each set of maps is
 judged by what it predicts of the patches, beside the second answer without a change. The result is the first
-answer with the change of those maps that helped; often, that is none.
+answer with the change of those maps that helped, and that leaves the photos explained; often, that is none.
 """
 
 import itertools
@@ -20,6 +20,7 @@ from ..capture.rectify import filled
 from ..color import to_display
 from ..io.profile import profiled
 from ..material.maps import SVBRDF
+from ..measure.rerender import rerender_errors
 from ..render.needs import Omitted
 from ..views import Views
 from .checkpoint import Part, part, state_of
@@ -37,6 +38,9 @@ from .task import FitTask
 BLOCKS = 16  # patches along a side, of each of which one photo is held out
 WITHOUT = 0.5  # of the time left, at most, that solving without the patches may take
 SURE = 3.0  # standard errors by which patches must be predicted better for a change to be kept
+# So many times as large may the error of all photos become by a change: one that mends a bad answer without
+# the patches may spoil that of all.
+WORSE = 1.1
 BEAT = 20  # steps of the game from one judgement to the next
 VIEWS = "camera", "light", "intensity"
 GAME, ENDED = 2, 3  # stages after solving with all photos (0) and without the patches (1)
@@ -143,8 +147,16 @@ class SolvedGan(Method[GanConfig]):
         best = max(sure, key=lambda names: float(gains[names].mean()))
         less = {names: gains[best] - gains[names] for names in sure}
         fewest = next(names for names in sure if float(less[names].mean()) <= standard_error(less[names]))
-        if (gain := float(gains[fewest].mean())) > self.gain:
-            self.gain, self.kept = gain, {name: change[name] for name in fewest}
+        gain, kept = float(gains[fewest].mean()), {name: change[name] for name in fewest}
+        if gain > self.gain and self._seen(kept) <= WORSE * self._seen({}):
+            self.gain, self.kept = gain, kept
+
+    def _seen(self, kept: dict[str, Tensor]) -> float:
+        """Re-rendering error of all photos by their answer, with a change."""
+        assert self.answer and self.game
+        svbrdf, views = self.answer
+        changed = Bounded(svbrdf, views, self.game.bounded.bounds).moved(kept) if kept else svbrdf
+        return rerender_errors(self.renderer, changed, views, self.capture)[0]
 
     def _errors(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Mean squared error of the display values of each patch, in the photo that is held out there."""
@@ -187,7 +199,7 @@ class SolvedGan(Method[GanConfig]):
     def omitted(self) -> list[Omitted]:
         """What the solver omitted, and the maps that the game did not help."""
         if self.game:
-            why = "photos held out of it are predicted no better with it: the map stays as solved"
+            why = "photos held out are predicted no better with it, or all worse: the map stays as solved"
             found = [Omitted(f"the game's change of {name}", why) for name in self.game.bounded.bounds
                      if name not in self.kept]
         else:

@@ -100,6 +100,19 @@ def test_of_a_game_only_the_map_that_it_helps_is_kept(tiles, photos):
     assert method.kept is kept
 
 
+def test_a_change_that_mends_the_second_answer_and_spoils_the_first_is_not_kept(tiles, photos):
+    start = rougher(tiles, 0.1)
+    for first, kept in ((start, ["roughness"]), (tiles, [])):
+        method = begun(photos, start)
+        off = (tiles["roughness"] - start["roughness"]) / method.game.bounded.bounds["roughness"]
+        change = {name: torch.zeros(bound.shape[-1], 32, 32)
+                  for name, bound in method.game.bounded.bounds.items()}
+        change["roughness"] = torch.atanh(off.clamp(-0.99, 0.99)).permute(2, 0, 1)
+        method.game.change, method.answer = lambda change=change: change, (first, photos.views)
+        method._judge()
+        assert list(method.kept) == kept
+
+
 def test_a_game_goes_on_from_its_saved_state_bit_for_bit(tiles, photos):
     whole = begun(photos, rougher(tiles, 0.1))
     for step in range(2):
