@@ -59,8 +59,7 @@ class FitConfig:
     guess: GuessMethod = "robust"
     """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
     budget: float | None = None
-    """Stop after so many seconds. Default: hierarchical, hybrid 120; direct 60; gan 300 or its preset's; at
-    2048 px twice, at 4096 px four times as many."""
+    """Stop after so many seconds. Default: 120 (direct 60, gan 300 or its preset's), more above 1024 px."""
     iterations: int | None = None
     """Stop after this many iterations (with --budget: whichever comes first)."""
     seed: int = 0
