@@ -1,8 +1,7 @@
 """Renderers at the ends of every range.
 
 ``python docs/results/stability.py`` makes stability.md and stability.svg from stability.json; with
-``measure`` behind it `mitsvbrdf stability` is run first (two minutes); condition numbers stay as they
-were measured.
+``measure`` behind it `mitsvbrdf stability` is run first (two minutes).
 """
 
 import json
@@ -161,14 +160,9 @@ def figure(record: dict) -> Figure:
 
 if __name__ == "__main__":
     file = HERE / "stability.json"
-    content = json.loads(file.read_text())
     if sys.argv[1:] == ["measure"]:
-        conditions = {(row["sweep"], row["label"]): row["condition"] for row in content["rows"]}
         subprocess.run([sys.executable, "-m", "mitsvbrdf", "stability", "--json", str(file), "--overwrite"],
                        check=True)
-        content = json.loads(file.read_text())
-        for row in content["rows"]:
-            row["condition"] = conditions.get((row["sweep"], row["label"]))
-        file.write_text(json.dumps(content))
+    content = json.loads(file.read_text())
     (HERE / "stability.md").write_text(page(content))
     (HERE / "stability.svg").write_bytes(svg(figure(content)))

@@ -26,9 +26,9 @@ def stability(
 ) -> int:
     """Sweep every parameter to its ends and give a verdict on each renderer.
 
-    Each case compares image and gradients with float64. All sweeps take about two minutes. The exit code is
-    1 when a value is not finite or a verdict is worse than expected. docs/results/stability.md explains the
-    verdicts and every clamp.
+    Each case compares image and gradients with float64. The JSON file also holds condition numbers. All
+    sweeps take about two minutes. The exit code is 1 when a value is not finite or a verdict is worse than
+    expected. docs/results/stability.md explains the verdicts and every clamp.
     """
     check_new_files(json_file, overwrite=overwrite)
     renderers = [make_renderer(name, variant) for name in (RENDERERS if renderer == "all" else (renderer,))]

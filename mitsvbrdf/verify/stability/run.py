@@ -8,7 +8,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from ... import color
@@ -18,7 +17,6 @@ from ...fit.losses import photometric
 from ...io import Report
 from ...io.entry import entry
 from ...io.provenance import machine, versions
-from ...material.maps import SVBRDF
 from ...measure.gradients import Measured, render_and_gradients
 from ...measure.tolerances import SWEEP_TOLERANCES, UNIT_ROUNDOFF
 from ...render import Renderer, make_renderer
@@ -26,6 +24,7 @@ from ...render.analytic import MIN_ALPHA
 from ...render.bsdf import F0_RANGE
 from ...render.needs import CONSTANT_FRESNEL_DEGREES, half_angle_bound
 from ..float32_limits import float32_limit
+from .conditioning import condition, disturbed, jacobian
 from .sweeps import SWEEPS, Case
 
 SCHEMA_VERSION = 2
@@ -71,7 +70,7 @@ def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
     row: dict[str, Any] = {"sweep": case.sweep, "label": case.label, "value": case.value,
                            "bsdf": case.svbrdf.bsdf, "resolution": case.svbrdf.resolution,
                            "views": len(case.views), "refused": case.refused,
-                           "limit": {}, "clamps": []}
+                           "condition": None, "limit": {}, "clamps": []}
     try:
         case.svbrdf.check()
         case.views.check()
@@ -89,24 +88,13 @@ def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
     row["clamps"] = [name for name, acts in CLAMPS.items() if acts(case, exact.image)]
     if case.small:
         row["limit"] = _limit(twin, case, exact, cotangent)
+        row["condition"] = condition(jacobian(twin, case.svbrdf, case.views, case.display))
     found = {}
     for renderer in renderers:
         figures = _figures(renderer, case, exact, photos)
         kind, why = verdict(figures, row["limit"], row["clamps"], case.known.get(renderer.name))
         found[renderer.name] = {"verdict": kind, "why": why} | figures
     return row | {"renderers": found}
-
-
-def disturbed(svbrdf: SVBRDF) -> SVBRDF:
-    """A valid material a little off: colours and metallic by up to 0.05, roughness 10 %, normals 1 degree."""
-    rng = torch.Generator().manual_seed(5)
-    maps = {}
-    for name, value in svbrdf.maps.items():
-        size = 0.1 * value if name == "roughness" else 0.0175 if name == "normal" else 0.05
-        off = value + size * (2 * torch.rand(value.shape, generator=rng) - 1)
-        maps[name] = (F.normalize(torch.cat((off[..., :2], off[..., 2:].clamp_min(1e-3)), dim=-1), dim=-1)
-                      if name == "normal" else off.clamp(1e-4 if name == "roughness" else 0.0, 1.0))
-    return SVBRDF(svbrdf.bsdf, maps)
 
 
 def _figures(renderer: Renderer, case: Case, exact: Measured, photos: Tensor | None) -> dict:

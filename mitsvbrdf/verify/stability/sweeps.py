@@ -61,9 +61,13 @@ class Case:
     # what is known to be worse, by renderer: the largest relative error allowed, and its cause
     known: Known = field(default_factory=dict)
 
+    def display(self, radiance: Tensor) -> Tensor:
+        """What a fit sees: display values, burnt out in photos whose exposure is swept."""
+        return color.encode(radiance) if self.transfer is None else color.to_display(radiance, self.transfer)
+
     @property
     def small(self) -> bool:
-        """Whether float32's limit and fifty digits are looked at too."""
+        """Whether conditioning and fifty digits are looked at too."""
         return self.svbrdf.resolution <= TAKEN_APART_SIDE
 
 

@@ -12,7 +12,7 @@ from mitsvbrdf.fit.parameters import to_raw, to_svbrdf
 from mitsvbrdf.fit.start import robust_start
 from mitsvbrdf.measure.metrics import image_error, map_rmse, photo_rmse
 from mitsvbrdf.verify.stability import SWEEPS
-from mitsvbrdf.verify.stability.run import disturbed
+from mitsvbrdf.verify.stability.conditioning import disturbed
 
 
 @pytest.mark.parametrize("sweep", mostly_slow(SWEEPS, "flat"))

@@ -56,7 +56,7 @@ def test_an_unbroken_renderer_passes(one_case, tmp_path):
     (row,) = record["rows"]
     found = row["renderers"]["analytic"]
     assert record["violations"] == [] and found["verdict"] == "exact" and max(found["errors"].values()) < 1e-5
-    assert set(row["limit"]) == set(found["errors"])
+    assert set(row["limit"]) == set(found["errors"]) and row["condition"]["unknowns"] == 9
 
 
 def test_the_command_knows_every_sweep_and_verdict(tmp_path, capsys):
