@@ -87,8 +87,9 @@ class FitConfig:
         if self.budget or self.iterations:
             return self
         limit = self.default_limit
-        return replace(self, **limit | {name: seconds * max(1.0, resolution / LARGE)
-                                        for name, seconds in limit.items() if name == "budget"})
+        if "budget" in limit:
+            limit = {"budget": limit["budget"] * max(1.0, resolution / LARGE)}
+        return replace(self, **limit)
 
     @property
     def falloff(self) -> Falloff:

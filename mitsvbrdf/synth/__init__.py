@@ -24,7 +24,7 @@ def photograph(svbrdf: SVBRDF, views: Views, renderer: Renderer, noise: float = 
         with torch.no_grad():
             radiance = renderer.render(svbrdf, lit).float()
         if noise:
-            radiance += noise * torch.randn(radiance.shape, generator=random)
-        seen = Capture(color.to_display(radiance.clamp_min_(0), transfer), lit, transfer).photos
+            radiance = radiance + noise * torch.randn(radiance.shape, generator=random)
+        seen = Capture(color.to_display(radiance.clamp_min(0), transfer), lit, transfer).photos
         stored.append((seen * 255).round().byte())
     return Capture(torch.cat(stored), views, transfer)
