@@ -20,12 +20,13 @@ from .capture import Capture
 GuessMethod = Literal["robust", "min", "mean-blur"]
 BLUR = 1 / 32  # standard deviation of mean-blur, as a share of the image side
 
-# The texel model of `robust`: its surface, of which something is known beforehand, and its albedo.
-SURFACE = Layout(tilt=(2,), log_alpha=(), log_f0=())  # tilt: slopes of the normal
-TEXEL = Layout(surface=(SURFACE.size,), log_albedo=())
+# The numbers of a texel of `robust`: slopes of its normal, width and strength of its lobe, and its albedo.
+TEXEL = Layout(tilt=(2,), log_alpha=(), log_f0=(), log_albedo=())
+# of these beside what is typical; of an albedo nothing is known beforehand
+SURFACE_SD = torch.tensor((0.5, 0.5, 0.5, 1.0, torch.inf))
 # a dielectric; hardly a highlight
 STARTS = [{"log_alpha": math.log(0.3), "log_f0": math.log(f0)} for f0 in (0.04, 0.001)]
-PRIOR_SD = {"tilt": 0.5, "log_alpha": 0.5, "log_f0": 1.0}  # of a surface beside what is typical
+DISPLAY, BLACK = 0.4, 1e-4  # a display value is about (albedo + BLACK)^DISPLAY
 NOISE = 0.03  # what a display value is trusted to: the photo, the calibration and this model
 # starts tried for either slope: a fit started flat sticks to a wrong highlight
 TILTS = (-0.6, -0.3, 0.0, 0.3, 0.6)
@@ -96,16 +97,17 @@ def _robust(capture: Capture) -> Tensor:
     known = torch.ones_like(most[..., :1])
     if shows is not None:
         known = (resized((~shows).float(), size) == 0).float()
-    texels = [known, albedo, most.mean(-1, True), light, half]
-    texels = [x.flatten(1, 2).transpose(0, 1).squeeze(-1).contiguous() for x in texels]  # M x N (x 3)
+    texels = [known, _display(albedo), most.mean(-1, True), light, half]
+    texels = [x.permute(3, 0, 1, 2).flatten(2).squeeze(0) for x in texels]  # N x M or 3 x N x M
     threads = torch.get_num_threads()
     torch.set_num_threads(1)  # more save at most a third on such small chunks, or cost 50 times the time
     try:
-        prior = _typical(*(x[:: -(-len(x) // CHUNK)] for x in texels))
-        fitted = [_shade(_fit(prior, *part), *part[3:]) for part in zip(*(x.split(CHUNK) for x in texels))]
+        prior = _typical(*(x[..., :: -(-size**2 // CHUNK)].contiguous() for x in texels))
+        fitted = [_shade(_fit(prior, *part), *part[3:]) for part in zip(
+            *([part.contiguous() for part in x.split(CHUNK, dim=-1)] for x in texels))]
     finally:
         torch.set_num_threads(threads)
-    shading, lobe = (torch.cat(x).T.reshape(-1, size, size, 1) for x in zip(*fitted))
+    shading, lobe = (torch.cat(x, dim=1).reshape(-1, size, size, 1) for x in zip(*fitted))
 
     def diffuse(rows: slice) -> Tensor:
         photos = color.shown(capture.stored[:, rows])
@@ -126,29 +128,47 @@ def _apparent(capture: Capture, rows: slice) -> Tensor:
 
 
 def _shade(texels: Tensor, light: Tensor, half: Tensor) -> tuple[Tensor, Tensor]:
-    """The cosine and the GGX lobe of M texels in N views, over a flat Lambertian's cosine: M x N each.
+    """The cosine and the GGX lobe of M texels in N views, over a flat Lambertian's cosine: N x M each.
 
     The lobe takes n.l = n.v = n.h, exact for a light at the camera.
     """
-    surface = SURFACE.unpack(TEXEL.unpack(texels[:, None]).surface)
-    tilt_x, tilt_y = surface.tilt.unbind(dim=-1)
+    tilt_x, tilt_y, log_alpha, log_f0, _ = texels
     length = (1 + tilt_x**2 + tilt_y**2).sqrt()
-    along_light, cosine = (((v[..., 0] * tilt_x + v[..., 1] * tilt_y + v[..., 2]) / length).clamp_min(0.05)
-                           for v in (light, half))
-    shading = along_light / light[..., 2]
-    a2, c2 = torch.exp(2 * surface.log_alpha), cosine**2
+    along_light, cosine = (((x * tilt_x + y * tilt_y + z) / length).clamp_min(0.05)
+                           for x, y, z in (light, half))
+    shading = along_light / light[2]
+    a2, c2 = torch.exp(2 * log_alpha), cosine**2
     smith = 2 / (cosine + (a2 + (1 - a2) * c2).sqrt())  # G1 / cosine
-    return shading, surface.log_f0.exp() * a2 / (a2 * c2 + 1 - c2) ** 2 * smith**2 / 4 * shading
+    return shading, (log_f0.exp() * a2 / 4) * (smith / (a2 * c2 + 1 - c2)) ** 2 * shading
 
 
-def _errors(texels: Tensor, prior: Tensor, known: Tensor, albedo: Tensor, most: Tensor, light: Tensor,
-            half: Tensor) -> Tensor:
-    """M x (N + 4) errors in standard deviations: of about display values known (1, else 0), and the prior."""
+def _errors(texels: Tensor, known: Tensor, display: Tensor, most: Tensor, light: Tensor, half: Tensor
+            ) -> Tensor:
+    """N x M errors in standard deviations: of about display values known (1, else 0)."""
     shading, lobe = _shade(texels, light, half)
-    parts = TEXEL.unpack(texels)
-    said = torch.minimum(parts.log_albedo[:, None].exp() * shading + lobe, most)
-    data = (said + 1e-4) ** 0.4 - (albedo + 1e-4) ** 0.4
-    return torch.cat((known * data / NOISE, (parts.surface - prior) / _surface(**PRIOR_SD)), dim=1)
+    return known * (_display(torch.minimum(texels[4].exp() * shading + lobe, most)) - display) / NOISE
+
+
+def _slopes(texels: Tensor, errors: Tensor, known: Tensor, display: Tensor, most: Tensor, light: Tensor,
+            half: Tensor) -> Tensor:
+    """Of the errors, 5 x N x M; by tilt and width these are finite differences."""
+    (shading, lobe), albedo = _shade(texels, light, half), texels[4].exp()
+    level = albedo * shading
+    said = level + lobe
+    nudged = (_shade(texels + DELTA * axis[:, None], light, half) for axis in torch.eye(3, len(texels)))
+    by = [(albedo * other + its - said) / DELTA for other, its in nudged]
+    steep = known * DISPLAY / NOISE * (display + NOISE * errors) / (said + BLACK) * (said < most)
+    return torch.stack((*by, lobe, level)) * steep
+
+
+def _display(albedo: Tensor) -> Tensor:
+    """About the display value of a radiance."""
+    return (albedo + BLACK) ** DISPLAY
+
+
+def _cost(errors: Tensor, texels: Tensor, prior: Tensor) -> Tensor:
+    """Of M texels, with what their surface is off a prior."""
+    return errors.square().sum(dim=0) + (SURFACE_SD**-2 @ (texels - prior).square())
 
 
 def _typical(*seen: Tensor) -> Tensor:
@@ -158,35 +178,38 @@ def _typical(*seen: Tensor) -> Tensor:
         prior = _surface(**start)
         for _ in range(2):
             texels = _fit(prior, *seen)
-            cost = _errors(texels, prior, *seen).square().sum(dim=1).mean()
-            prior = TEXEL.unpack(texels).surface.median(dim=0).values
-            prior[SURFACE["tilt"]] = 0  # a patch is level
+            cost = _cost(_errors(texels, *seen), texels, prior).mean()
+            prior = texels.median(dim=1, keepdim=True).values
+            prior[TEXEL["tilt"]] = 0  # a patch is level
         found.append((float(cost), prior))
     return min(found, key=lambda pair: pair[0])[1]
 
 
 def _surface(**parts: ArrayLike) -> Tensor:
-    """A texel's surface by its parts, float32. Default of a part: 0."""
-    return torch.from_numpy(SURFACE.pack(**parts)).float()
+    """A texel by its parts, 5 x 1, float32. Default of a part: 0."""
+    return torch.from_numpy(TEXEL.pack(**parts)).float()[:, None]
 
 
 def _fit(prior: Tensor, *seen: Tensor) -> Tensor:
-    """M x 5 fitted texels by Levenberg-Marquardt with finite differences, from the best of some tilts."""
-    least = torch.where(seen[0] > 0, seen[1], torch.inf).amin(dim=1, keepdim=True)
-    low = (least / 2).clamp(1e-4, 1e4).log()
-    starts = [torch.cat(((prior + _surface(tilt=(x, y))).expand(len(low), -1), low), dim=1)
-              for x in TILTS for y in TILTS]
-    costs = torch.stack([_errors(start, prior, *seen).square().sum(dim=1) for start in starts])
-    texels = torch.stack(starts)[costs.argmin(dim=0), torch.arange(len(low))]
-    errors, damping = _errors(texels, prior, *seen), torch.full((len(low), 1), 0.01)
+    """5 x M fitted texels by Levenberg-Marquardt from the best of some tilts."""
+    least = torch.where(seen[0] > 0, seen[1], torch.inf).amin(dim=0) ** (1 / DISPLAY) - BLACK
+    starts = [(prior + _surface(tilt=(x, y))).repeat(1, len(least)) for x in TILTS for y in TILTS]
+    for start in starts:
+        start[4] = (least / 2).clamp(1e-4, 1e4).log()
+    costs = torch.stack([_cost(_errors(start, *seen), start, prior) for start in starts])
+    texels = torch.stack(starts, dim=1)[:, costs.argmin(dim=0), torch.arange(len(least))]
+    errors, damping = _errors(texels, *seen), torch.full_like(least, 0.01)
+    cost = _cost(errors, texels, prior)
     for _ in range(STEPS):
-        nudged = (_errors(texels + DELTA * axis, prior, *seen) for axis in torch.eye(TEXEL.size))
-        j = torch.stack([(e - errors) / DELTA for e in nudged], dim=2)
-        curve, slope = j.mT @ j, j.mT @ errors[..., None]
-        curve.diagonal(dim1=1, dim2=2).mul_(1 + damping).add_(1e-6)
-        trial = texels - torch.linalg.solve(curve, slope)[..., 0].clamp(-1, 1)
-        found = _errors(trial, prior, *seen)
-        good = (found.square().sum(dim=1) < errors.square().sum(dim=1))[:, None]
+        j = _slopes(texels, errors, *seen)
+        slope = (j * errors).sum(dim=1) + SURFACE_SD[:, None]**-2 * (texels - prior)
+        curve = torch.stack([(j * column).sum(dim=1) for column in j]) + (SURFACE_SD**-2).diag()[..., None]
+        curve.diagonal().mul_((1 + damping)[:, None]).add_(1e-6)
+        trial = texels - torch.linalg.solve(curve.permute(2, 0, 1), slope.T).T.clamp(-1, 1)
+        found = _errors(trial, *seen)
+        its = _cost(found, trial, prior)
+        good = its < cost  # False for what is no number
         texels, errors = torch.where(good, trial, texels), torch.where(good, found, errors)
+        cost = torch.where(good, its, cost)
         damping = torch.where(good, damping * 0.3, damping * 5).clamp(1e-4, 1e4)
     return texels

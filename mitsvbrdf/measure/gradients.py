@@ -49,5 +49,7 @@ def render_and_gradients(renderer: Renderer, svbrdf: SVBRDF, views: Views, cotan
                           "make the renderer differentiable, or compare the images alone (gradients=math.inf "
                           "in assert_renderers_agree)")
     cotangent = (fixed_cotangent(image.shape) if cotangent is None else cotangent).to(image)
-    gradients, backward = timed(torch.autograd.grad, image, list(leaves.maps.values()), cotangent)
+    # of a sum: for a tensor beside an image, torch imports sympy, which takes seconds
+    product = (image * cotangent).sum()
+    gradients, backward = timed(torch.autograd.grad, product, list(leaves.maps.values()))
     return Measured(image.detach(), dict(zip(leaves.maps, gradients)), forward, backward)
