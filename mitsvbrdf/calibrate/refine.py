@@ -24,6 +24,7 @@ from torch import Tensor
 from .. import color
 from ..capture import Capture
 from ..capture.capture import Calibration
+from ..capture.guess import over
 from ..color import CLIPPED, QUANTIZATION_NOISE
 from ..errors import CaptureError, ConfigError
 from ..io.entry import entry
@@ -257,15 +258,15 @@ class Problem:
         radiance = self.drawn(moved(self.given, change))
         error = self.residuals(radiance)
         noise, alike = evidence = evidence or self.evidence(error)
-        columns = []
+        brighter, darker = (color.encode(radiance * math.exp(by), self.transfer) for by in (self.step, -self.step))
+        by_exposure = (brighter - darker) / (2 * self.step)
+        steep, columns = over(by_exposure, radiance), []  # the slope of the display value
         for unknown in range(CHANGE["log_exposure"].start):  # camera and flash
             step = torch.zeros(CHANGE.size, dtype=torch.float64)
             step[unknown] = self.step
-            columns.append(
-                [self.drawn(moved(self.given, change + s)) for s in (step, -step)])
-        columns.append([radiance * math.exp(s) for s in (self.step, -self.step)])
-        slopes = torch.stack([(color.encode(more, self.transfer) - color.encode(less, self.transfer))
-                              / (2 * self.step) for more, less in columns], dim=-1).flatten(1, 3)
+            more, less = (self.drawn(moved(self.given, change + s)) for s in (step, -step))
+            columns.append((more - less) * steep / (2 * self.step))
+        slopes = torch.stack((*columns, by_exposure), dim=-1).flatten(1, 3)
         weights = (HUBER * noise / error.abs()).clamp_max(1) / (noise**2 * alike)
         weights = torch.where(self._bright_enough(error), 0.0, weights).flatten(1)[..., None]
         matrix = torch.block_diag(*(slopes.mT @ (weights * slopes)))

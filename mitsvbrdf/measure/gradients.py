@@ -49,7 +49,7 @@ def render_and_gradients(renderer: Renderer, svbrdf: SVBRDF, views: Views, cotan
                           "make the renderer differentiable, or compare the images alone (gradients=math.inf "
                           "in assert_renderers_agree)")
     cotangent = (fixed_cotangent(image.shape) if cotangent is None else cotangent).to(image)
-    # of a sum: for a tensor beside an image, torch imports sympy, which takes seconds
+    # of a sum: for a tensor beside an image, torch imports sympy, for a second
     product = (image * cotangent).sum()
     gradients, backward = timed(torch.autograd.grad, product, list(leaves.maps.values()))
     return Measured(image.detach(), dict(zip(leaves.maps, gradients)), forward, backward)

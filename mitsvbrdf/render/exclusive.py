@@ -168,7 +168,9 @@ def _gradients(ctx: Any, inputs: Sequence[Tensor], cotangent: Tensor) -> list[Te
         record = Kept(ctx.drawing.draw(inputs, ctx.wanted))
     leaves, images = record.content
     wanted = [leaf for leaf in leaves if leaf.requires_grad]
-    return [each.clone() for each in torch.autograd.grad(images, wanted, cotangent)]
+    with torch.enable_grad():  # of a sum: for a tensor beside an image, torch imports sympy, for a second
+        product = (images * cotangent).sum()
+    return [each.clone() for each in torch.autograd.grad(product, wanted)]
 
 
 class MitsubaRenderer:
