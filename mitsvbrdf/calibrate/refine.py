@@ -200,6 +200,7 @@ class Problem:
         self.renderer = renderer or AnalyticRenderer(torch.float64, Needs())
 
         self.step = STEP_FLOAT32 if renderer else STEP
+        self.at_once = None if renderer else count  # the analytic renderer holds much of each view
         self.whitened = Layout(own=(count, CHANGE.size), common_flash=(2,))
         own = CHANGE.pack(camera=priors.camera, flash=priors.flash, log_exposure=priors.exposure)
         self.shared = torch.zeros(2, self.whitened.size, dtype=torch.float64)
@@ -216,8 +217,9 @@ class Problem:
         self.expected = expected.expand(count, -1)
 
     def drawn(self, views: Views) -> Tensor:
-        """Radiance N x R x R x 3, float64."""
-        return self.renderer.render(self.maps, views).double()
+        """Radiance ? x R x R x 3, float64, of any number of views."""
+        each = torch.arange(len(views)).split(self.at_once or len(views))
+        return torch.cat([self.renderer.render(self.maps, views.pick(part)).double() for part in each])
 
     def change(self, u: Tensor) -> Tensor:
         """Changes N x 7, by :data:`UNKNOWNS`."""
@@ -258,14 +260,15 @@ class Problem:
         radiance = self.drawn(moved(self.given, change))
         error = self.residuals(radiance)
         noise, alike = evidence = evidence or self.evidence(error)
-        brighter, darker = (color.encode(radiance * math.exp(by), self.transfer) for by in (self.step, -self.step))
+        brighter, darker = (color.encode(radiance * math.exp(by), self.transfer)
+                            for by in (self.step, -self.step))
         by_exposure = (brighter - darker) / (2 * self.step)
-        steep, columns = over(by_exposure, radiance), []  # the slope of the display value
-        for unknown in range(CHANGE["log_exposure"].start):  # camera and flash
-            step = torch.zeros(CHANGE.size, dtype=torch.float64)
-            step[unknown] = self.step
-            more, less = (self.drawn(moved(self.given, change + s)) for s in (step, -step))
-            columns.append((more - less) * steep / (2 * self.step))
+        steep = over(by_exposure, radiance)  # the slope of the display value
+        moves = self.step * torch.eye(CHANGE.size, dtype=torch.float64)[:CHANGE["log_exposure"].start]
+        each = torch.cat([change + step for step in (*moves, *-moves)])  # of camera and flash
+        drawn = self.drawn(moved(self.given.pick(torch.arange(len(each)) % len(change)), each))
+        more, less = drawn.reshape(2, len(moves), *radiance.shape)
+        columns = [each * steep / (2 * self.step) for each in more - less]
         slopes = torch.stack((*columns, by_exposure), dim=-1).flatten(1, 3)
         weights = (HUBER * noise / error.abs()).clamp_max(1) / (noise**2 * alike)
         weights = torch.where(self._bright_enough(error), 0.0, weights).flatten(1)[..., None]

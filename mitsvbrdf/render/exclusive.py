@@ -138,7 +138,8 @@ class Drawing:
         leaves = [tensor.detach().requires_grad_(want) for tensor, want in zip(inputs, wanted)]
         with self.in_mitsuba(), torch.set_grad_enabled(any(wanted)):
             Drawing.drawn += self.replayed
-            return leaves, torch.stack(self.function.content(*leaves))
+            parts = self.function.content(*leaves)
+            return leaves, torch.cat([part.reshape(-1, *part.shape[-3:]) for part in parts])
 
 
 class _Recorded(torch.autograd.Function):
@@ -180,7 +181,6 @@ class MitsubaRenderer:
 
     name: str
     replayed = False  # see Drawing
-    views_at_once: int | None = None  # drawn by one kernel; None: all
 
     def __init__(self, variant: str = "llvm_ad_rgb", needs: Needs | None = None) -> None:
         self.variant, self.needs = variant, needs
@@ -205,11 +205,17 @@ class MitsubaRenderer:
         views = views.in_patch_sides()
         # Plain tensors, so that they cross dr.wrap, each with its gradient if it wants one.
         tensors = [t.to(torch.float32).to(self.device).contiguous() for t in maps.values()]
-        geometry = [t.to(torch.float64).to(self.device).split(self.views_at_once or len(views))
-                    for t in (views.camera, views.light, views.intensity)]
+        geometry = [t.to(torch.float64).to(self.device) for t in (views.camera, views.light, views.intensity)]
+        at_once = self.views_at_once(svbrdf.resolution, torch.is_grad_enabled() and any(
+            t.requires_grad for t in (*geometry, *tensors))) or len(views)
         images = [self._pictures(self._drawings[key], svbrdf.resolution,
-                                 [part.contiguous() for part in parts], tensors) for parts in zip(*geometry)]
+                                 [part.contiguous() for part in parts], tensors)
+                  for parts in zip(*(t.split(at_once) for t in geometry))]
         return (images[0] if len(images) == 1 else torch.cat(images)).to(svbrdf["normal"].device)
+
+    def views_at_once(self, side: int, gradients: bool) -> int | None:
+        """How many are drawn by one kernel; None: all."""
+        return None
 
     def _pictures(self, drawing: Drawing, side: int, geometry: list[Tensor], maps: list[Tensor]) -> Tensor:
         """N x R x R x 3 by cameras, lights, intensities and maps."""

@@ -1,8 +1,9 @@
 """Mitsuba's BSDF plugins at known texels: no rays, no film, no texture look-ups.
 
-The pixel of a rectified photo and the texel it shows are the same, so one thread serves one texel: it holds
-the texel's maps in registers, evaluates the plugin for each view, and adds up its own gradient. There is no
-scatter between threads, so gradients are the same bits in every run.
+The pixel of a rectified photo and the texel it shows are the same. Where gradients are wanted, one thread
+serves one texel: it holds the texel's maps in registers, evaluates the plugin for each view, and adds up its
+own gradient. There is no scatter between threads, so gradients are the same bits in every run. Where none
+are, one thread draws one pixel.
 
 Directions are worked out in float64, in the texel's own shading frame, and rounded once, to what the plugin
 takes. In float32 the half vector of a narrow highlight keeps few of its digits across the normal; measured at
@@ -10,6 +11,7 @@ roughness 0.1 with random normals, gradients against float64: 8e-6 -> 3e-7, for 
 """
 
 import gc
+import math
 import weakref
 from collections.abc import Callable
 from dataclasses import replace
@@ -25,13 +27,17 @@ from .needs import Needs
 from .plugins import shading_axes, to_shading
 
 TILE = 2**20  # texels that are drawn at once
+UNROLLED = 9  # views in one kernel
 
 
 class TexelRenderer(MitsubaRenderer):
     """Evaluates Mitsuba's own plugin code at the texels."""
 
     name = "mitsuba"
-    views_at_once = 9  # evaluations unrolled in one kernel; more views take several launches
+
+    def views_at_once(self, side: int, gradients: bool) -> int:
+        """With gradients so many evaluations are unrolled in one kernel; more views take several launches."""
+        return UNROLLED if gradients else max(UNROLLED, TILE // side**2)
 
     def _pictures(self, drawing: Drawing, side: int, geometry: list[Tensor], maps: list[Tensor]) -> Tensor:
         """Some rows of large maps at a time, unless a gradient is wanted: what is made of them is small."""
@@ -55,19 +61,28 @@ class TexelRenderer(MitsubaRenderer):
 
         @dr.wrap(source="torch", target="drjit")
         def evaluate(texels: Any, cameras: Any, lights: Any, intensities: Any, *tensors: Any) -> list:
-            # one value a texel
-            maps = {n: mi.Float(t.array) if t.shape[2] == 1 else dr.unravel(mi.Color3f, t.array)
-                    for n, t in zip(names, tensors)}
+            fixed = not any(map(dr.grad_enabled, (cameras, lights, intensities, *tensors)))
+            count, size = cameras.shape[0], math.prod(texels.shape)
+            pixel = dr.arange(mi.UInt32, size * (count if fixed else 1))
+            texel = pixel % size
+
+            def values(tensor: Any) -> Any:
+                kind = mi.Float if tensor.shape[2] == 1 else mi.Color3f
+                return dr.gather(kind, tensor.array, texel) if fixed else (
+                    mi.Float(tensor.array) if kind is mi.Float else dr.unravel(kind, tensor.array))
+
+            # one value a thread
+            maps = {n: values(t) for n, t in zip(names, tensors)}
             shader.hold(maps)
-            place = texel_position(mi, mi.UInt32(texels.array), side)
+            place = texel_position(mi, dr.gather(mi.UInt32, mi.UInt32(texels.array), texel), side)
             axes = shading_axes(Vector(maps["normal"])) if needs.normal_map else None
             images = []
-            for k in range(cameras.shape[0]):
+            for k in (pixel // size,) if fixed else range(count):
                 camera, light, intensity = (row(mi, rows.array, k) for rows in (cameras, lights, intensities))
                 to_camera, to_light, irradiance = view_geometry(mi, place, axes, camera, light, intensity,
                                                                 falloff)
                 radiance = shader.eval(to_camera, to_light) * irradiance
-                images.append(mi.TensorXf(dr.ravel(radiance), (*texels.shape, 3)))
+                images.append(mi.TensorXf(dr.ravel(radiance), (count if fixed else 1, *texels.shape, 3)))
             shader.release()
             return images
 

@@ -27,7 +27,7 @@ from ...views import Views, strips
 from ..fixed_maps import unknown_but
 from .kernel import Kernel, tile_rows, tiles
 from .sensor_noise import noise_at
-from .unknowns import Unknowns
+from .unknowns import Unknowns, columns_of, pairs_of
 
 
 @dataclass(frozen=True)
@@ -193,9 +193,8 @@ class TexelSolver:
         """
         with using_mitsuba(self.variant) as mi:
             bounds = *([opaque(mi, v) for v in bound] for bound in (low, high)), opaque(mi, iterations)
-            steps = self._kernel(observations, x).steps
             moved, (damping, data, prior) = self._tiled(
-                observations, lambda problem, x, damping, mean, precision: steps(
+                observations, lambda kernel, problem, x, damping, mean, precision: kernel.steps(
                     problem, x, damping[0], mean, precision, *bounds), x, damping[None], mean, precision)
         return Solved(moved, damping, data, prior)
 
@@ -209,8 +208,7 @@ class TexelSolver:
     def posterior(self, observations: Observations, x: Tensor, precision: Tensor) -> tuple[Tensor, Tensor]:
         """:meth:`variances`, and the log determinant of J^T W J + precision, R x R."""
         with using_mitsuba(self.variant):
-            posterior = self._kernel(observations, x).posterior
-            (found,) = self._tiled(observations, posterior, x, precision)
+            (found,) = self._tiled(observations, lambda kernel, *args: kernel.posterior(*args), x, precision)
         return found[:-1], found[-1]
 
     def normal_equations(self, observations: Observations, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -220,22 +218,22 @@ class TexelSolver:
         says nothing, times 1 / sqrt(1 + e^2 / s^2) if robust.
         """
         with using_mitsuba(self.variant):
-            kernel = self._kernel(observations, x)
-            (cost,), slope, curve = self._tiled(observations, kernel.equations, x)
+            (cost,), slope, curve = self._tiled(observations,
+                                                lambda kernel, *args: kernel.equations(*args), x)
         dense = curve.new_zeros(len(x), len(x), *x.shape[1:])
-        for (i, j), value in zip(kernel.pairs, curve):
+        for (i, j), value in zip(pairs_of(columns_of(self.unknowns)), curve):
             dense[i, j] = dense[j, i] = value
         return cost, slope, dense
 
-    def _tiled(self, observations: Observations, kernel: Callable[..., Sequence[list]],
+    def _tiled(self, observations: Observations, run: Callable[..., Sequence[list]],
                *planes: Tensor) -> list[Tensor]:
-        """Copies of what a kernel makes of planes ? x R x R, each ? x R x R, by :func:`.kernel.tiles`.
+        """Copies of what the kernel makes of planes ? x R x R, each ? x R x R, by :func:`.kernel.tiles`.
 
         The planes may be of some texels alone, those of the observations. No Dr.Jit array outlives the call.
         """
         (count, side), found = planes[0].shape[1:], list[Tensor]()
-        problem = self._problem(observations)
-        fixed = problem.pop("fixed")
+        needs, fixed = self._known(observations.views, observations.side)
+        kernel, problem = self._kernel(observations, needs, planes[0]), self._problem(observations)
         for of in tiles(side, count):
             (photos, weights), texels = observations.of_rows(of).read(), observations.places(of).flatten()
             here = problem | {"texels": from_torch(self.mi, texels.int()),
@@ -246,7 +244,7 @@ class TexelSolver:
                 here["weights"] = from_torch(self.mi, weights)
             here_planes = apart([plane[:, of] for plane in planes])
             parts = [to_torch(part).reshape(-1, len(photos[0]), side).to(planes[0].device)
-                     for part in kernel(here, *map(self._planes, here_planes))]
+                     for part in run(kernel, here, *map(self._planes, here_planes))]
             if len(photos[0]) == count:
                 return parts
             found = found or [part.new_empty(len(part), count, side) for part in parts]
@@ -258,31 +256,25 @@ class TexelSolver:
         return [from_torch(self.mi, plane) for plane in values.detach().float()]
 
     def _known(self, views: Views, side: int) -> tuple[Needs, dict[str, Tensor]]:
-        """What the scene needs, and the fixed maps that are read."""
+        """What the scene needs, and the fixed maps that are read, C x R x R."""
         material = unknown_but(self.fixed, self.bsdf, side, self.grey_specular)
         needs = replace(scene_needs(material, views, "mitsuba"), omitted=())
-        return needs, {name: value for name, value in needed_maps(material, needs).items()
+        return needs, {name: value.permute(2, 0, 1) for name, value in needed_maps(material, needs).items()
                        if name in self.fixed}
 
     def _problem(self, observations: Observations) -> dict:
-        """What a kernel needs to know of the observations beside their pixels, as Dr.Jit arrays.
-
-        The fixed maps are torch tensors, C x R x R.
-        """
+        """What a kernel needs to know of the observations beside their pixels, as Dr.Jit arrays."""
         mi, views = self.mi, observations.views.in_patch_sides().to(torch.float64)
-        _, fixed = self._known(observations.views, observations.side)
         problem = {"count": opaque(mi, len(views)), "side": opaque(mi, observations.side),
                    "weight": opaque(mi, observations.noise**-2.0),
-                   "views": [from_torch(mi, v) for v in (views.camera, views.light, views.intensity)],
-                   "fixed": {name: value.permute(2, 0, 1) for name, value in fixed.items()}}
+                   "views": [from_torch(mi, v) for v in (views.camera, views.light, views.intensity)]}
         if curve := color.parts(observations.transfer)[1]:
             problem["curve"] = [opaque(mi, v) for v in curve]
         if observations.robust is not None:
             problem["scale"] = opaque(mi, float(observations.robust))
         return problem
 
-    def _kernel(self, observations: Observations, x: Tensor) -> Kernel:
-        needs, _ = self._known(observations.views, observations.side)
+    def _kernel(self, observations: Observations, needs: Needs, x: Tensor) -> Kernel:
         plain, texels = color.parts(observations.transfer)[0], tile_rows(x.shape[-1]) * x.shape[-1]
         key = needs, texels, observations.views.falloff, plain
         if key not in self._kernels:
