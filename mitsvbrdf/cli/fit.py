@@ -21,8 +21,7 @@ from ..fit.omitted import explained, used
 from ..fit.options import FitOptions
 from ..fit.result import Fit
 from ..io import results
-from ..io.profile import profiling
-from ..io.progress import Progress, print_numbers, print_profile, progress_bar, say
+from ..io.progress import Progress, print_numbers, progress_bar, say
 from ..io.room import check_room
 from ..io.signals import deferred_signals
 from ..render import Renderer, make_renderer
@@ -45,7 +44,6 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
         = "hierarchical",
         explain: Annotated[bool, arg(
             help="Print what this fit omits, decides as it runs, and uses; do not fit.")] = False,
-        profile: Annotated[bool, arg(help="Print the seconds of each part of the fit.")] = False,
         pretrain: Annotated[bool, arg(help=(
             "First stage of --preset paper-two-stage: train the generator on the first photo; OUT is its "
             "checkpoint, for --pretrained."))] = False,
@@ -83,7 +81,7 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
     if explain:
         return _explain(FitTask(shots, engine, config), shared)
     check_room(shots.resolution, HELD[0] + HELD[1] * len(shots), out, WRITTEN[0] + WRITTEN[1] * len(shots))
-    result, before = _fit_into(out, photos, engine, config, shared, profile, resume, overwrite)
+    result, before = _fit_into(out, photos, engine, config, shared, resume, overwrite)
     _say_result(result, shots, before)
     if shared.detail != "none":
         _say_detail(result)
@@ -126,7 +124,7 @@ def _explain(task: FitTask, options: FitOptions) -> int:
 
 
 def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, options: FitOptions,
-              profile: bool, resume: bool, overwrite: bool) -> tuple[Fit, int | None]:
+              resume: bool, overwrite: bool) -> tuple[Fit, int | None]:
     """Fit, add detail and write the result; also returns the iteration of the checkpoint resumed."""
     from ..report.folder import write_fit_files
     from ..report.live import LivePage
@@ -141,7 +139,7 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
         say(f"live page: {page.path}")
 
         before = load_tensors(earlier[0])[1].get("iteration") if resume else None
-        with Progress(title) as progress, profiling() if profile else contextlib.nullcontext():
+        with Progress(title) as progress:
             result = fit_svbrdf(shots, engine, config, checkpoint=folder / results.CHECKPOINT,
                                 resume=earlier[0] if resume else None, report=progress, live=page)
         if detail := options.detail_config(config):
@@ -170,8 +168,6 @@ def _say_result(result: Fit, shots: Capture, before: int | None) -> None:
                   dict(zip(shots.names, result.per_photo)) | {"all": result.rerender_rmse})
     if moved:
         say(f"with the calibrated views and the flash offset found: {result.calibrated_rmse:.4f}")
-    if result.profile:
-        print_profile(result.profile)
     if result.stopped == "interrupted":
         say("interrupted: the best result so far was kept; the same command with --resume goes on")
     elif before is not None and result.trace[-1]["iteration"] == before:

@@ -8,7 +8,6 @@ from typing import Any
 from ..capture import Capture
 from ..errors import ConfigError
 from ..io.entry import entry
-from ..io.profile import profiled
 from ..render import Renderer
 from .config import DirectConfig, FitConfig, HierarchicalConfig, HybridConfig
 from .diagnose import diagnosed
@@ -54,9 +53,8 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     config = (config or HierarchicalConfig()).limited(capture.resolution)
     config.check()
     stated = capture.notes
-    with profiled("setting up"):
-        task = fit_task(capture, renderer, config)
-        capture, method = task.capture, make_method(task)
+    task = fit_task(capture, renderer, config)
+    capture, method = task.capture, make_method(task)
     loop = Loop(method, capture, renderer, config, checkpoint, report, Live(live) if live else None)
     if resume:
         loop.resume(resume)

@@ -12,7 +12,6 @@ from ..calibrate.estimate import ESTIMATED, POWER, EstimatedViews
 from ..calibrate.refine import CHANGE
 from ..capture import Capture
 from ..errors import BackendError
-from ..io.profile import profile_seconds, profiled
 from ..io.provenance import machine, versions
 from ..material.maps import COLOURS, SVBRDF
 from ..measure.burn_in import burn_in, local_burn_in
@@ -54,7 +53,6 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
     calibration = views_record(capture, views, task.estimated, *method.views_deviation, told)
     stated = _stated_views(capture, views, (x, y), told)
     calibrated_rmse = rerender_errors(renderer, svbrdf, stated, capture)[0] if stated else None
-    profile = profile_seconds()
     record = {"schema_version": SCHEMA_VERSION, "method": method_name(config),
         "renderer": renderer.name, "variant": renderer.variant, "bsdf": svbrdf.bsdf,
         "rerender_rmse": seen.total, "per_photo": dict(zip(capture.names, seen.each)),
@@ -76,7 +74,6 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
         "flash_offset": {"x": x, "y": y, "unit": "patch sides"} if method.fits_offset else None,
         "calibration": calibration,
         **({"repeats": task.repeats._asdict()} if task.repeats else {}),
-        **({"profile": profile} if profile else {}),
         "versions": versions(), "machine": machine(), "trace": loop.trace}
     fit = Fit(record, known={"svbrdf": svbrdf, "views": views, "guess": task.guess, "shots": capture,
                              "sample": seen.sample, "deviations": spreads, "config": config, "detail": None,
@@ -94,11 +91,10 @@ def _looked_at(svbrdf: SVBRDF, views: Views, task: FitTask, basis: Tensor | None
                ) -> tuple[Rerendered, Deviations, Deviations]:
     """Re-rendered photos with their errors; deviations alone and with look-alikes."""
     seen = rerendered(task.renderer, svbrdf, views, task.capture, SAMPLED)
-    with profiled("uncertainty"):
-        try:
-            both = deviations(svbrdf, views, task, basis)
-        except BackendError:  # the analytic renderer needs no Mitsuba, and deviations do
-            both = {}, {}
+    try:
+        both = deviations(svbrdf, views, task, basis)
+    except BackendError:  # the analytic renderer needs no Mitsuba, and deviations do
+        both = {}, {}
     if task.light_doubted:  # colours are as sure as the light
         for spreads in both:
             spreads |= {name: torch.full_like(spreads[name], UNKNOWN) for name in COLOURS if name in spreads}

@@ -3,7 +3,6 @@
 import torch
 from torch import Tensor
 
-from ..io.profile import profiled, switch_at
 from ..material.maps import SVBRDF
 from ..views import Views
 from . import losses
@@ -30,22 +29,15 @@ class Direct(Method[DirectConfig]):
     def step(self, progress: float) -> dict[str, float]:
         """One Adam step on all photos."""
         self.optimizer.param_groups[0]["lr"] = self.pace * self.config.learning_rate * cosine(progress)
-        with profiled("hand-over"):
-            svbrdf = to_svbrdf(self.config.bsdf, self.raw, self.fixed)
-            switch_at("hand-over, backward", *svbrdf.maps.values())
-        with profiled("renderer"):
-            rendered = self.renderer.render(svbrdf, self.views)
-            switch_at("renderer, backward", rendered)
-            rendered = self.compared(rendered)
-        with profiled("losses"):
-            terms = {"photometric": losses.photometric(rendered, self.capture.photos, self.capture.transfer)}
-            if "smooth" not in self.unused:
-                terms["smooth"] = losses.total_variation(svbrdf, self.edges, self.fixed)
-            if "flat" not in self.unused:
-                terms["flat"] = losses.tilt(svbrdf)
-            total = losses.weighted(terms, self.config.weights)
-        with profiled("losses, backward"):
-            gradient = descend(total, self.optimizer)
+        svbrdf = to_svbrdf(self.config.bsdf, self.raw, self.fixed)
+        rendered = self.compared(self.renderer.render(svbrdf, self.views))
+        terms = {"photometric": losses.photometric(rendered, self.capture.photos, self.capture.transfer)}
+        if "smooth" not in self.unused:
+            terms["smooth"] = losses.total_variation(svbrdf, self.edges, self.fixed)
+        if "flat" not in self.unused:
+            terms["flat"] = losses.tilt(svbrdf)
+        total = losses.weighted(terms, self.config.weights)
+        gradient = descend(total, self.optimizer)
         return {name: float(value.detach()) for name, value in terms.items()} | {"gradient": gradient}
 
     def estimate(self) -> tuple[SVBRDF, Views]:

@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ..errors import OutputError
-from ..io.profile import profiled
 from ..material.maps import SVBRDF
 
 SIDE = 256  # texels a side of the maps shown, at most
@@ -47,7 +46,7 @@ class Live:
         began = time.perf_counter()
         if began < self.due and not ended:
             return
-        with profiled("live page"), contextlib.suppress(OutputError):
+        with contextlib.suppress(OutputError):
             self.show(state())
         now = time.perf_counter()
         self.due = now + max(SECONDS, (now - began) * (1 / SHARE - 1))

@@ -12,7 +12,6 @@ from torch import Tensor
 from ..capture import Capture
 from ..errors import ConfigError, MitsvbrdfError, NotFiniteError
 from ..io.json import NUMBER, shape_error
-from ..io.profile import profiled
 from ..io.signals import stop_signals
 from ..material.maps import SVBRDF, finite
 from ..measure.rerender import rerender_errors
@@ -99,11 +98,10 @@ class Loop:
 
         Gives the state to go back to next time, and the losses.
         """
-        with profiled("other"):  # but for the parts inside
-            try:
-                losses = self.method.step(self.progress)
-            except NotFiniteError as error:
-                return self._undo(good, error.got), {}
+        try:
+            losses = self.method.step(self.progress)
+        except NotFiniteError as error:
+            return self._undo(good, error.got), {}
         broken = [name for name, value in losses.items() if not math.isfinite(value)]
         if broken:
             return self._undo(good, f"{broken[-1]} not finite"), {}
@@ -132,18 +130,17 @@ class Loop:
         """Error, maps and views of the present state (of a sample, where that does and the whole is not
         asked for), or the name of what in it is not finite.
         """
-        with profiled("measuring"):
-            for name, value in self.method.state().items():
-                if not finite(value):
-                    return f"{name} not finite"
-            sample = None if whole else self.method.glimpse()
-            svbrdf, views, capture = sample or (*self.method.estimate(), self.method.capture)
-            self.whole = sample is None
-            try:
-                rmse, _ = rerender_errors(self.renderer, svbrdf, views, capture)
-            except NotFiniteError as error:
-                return error.got
-            return (rmse, svbrdf, views) if math.isfinite(rmse) else "a re-rendered photo not finite"
+        for name, value in self.method.state().items():
+            if not finite(value):
+                return f"{name} not finite"
+        sample = None if whole else self.method.glimpse()
+        svbrdf, views, capture = sample or (*self.method.estimate(), self.method.capture)
+        self.whole = sample is None
+        try:
+            rmse, _ = rerender_errors(self.renderer, svbrdf, views, capture)
+        except NotFiniteError as error:
+            return error.got
+        return (rmse, svbrdf, views) if math.isfinite(rmse) else "a re-rendered photo not finite"
 
     def _undo(self, good: dict[str, Tensor], why: str) -> dict[str, Tensor]:
         self.undone.append({"iteration": self.iteration, "reason": why})
@@ -215,8 +212,7 @@ class Loop:
         note = {"iteration": self.iteration, "seconds": self.seconds, "undone": self.undone,
                 "best_rmse": rmse, "trace": self.trace, "method": type(self.method).__name__,
                 "bsdf": svbrdf.bsdf, "task": self._task()}
-        with profiled("checkpoint"):
-            save_tensors(self.checkpoint, tensors, note)
+        save_tensors(self.checkpoint, tensors, note)
 
     def resume(self, path: Path) -> None:
         """Continue from a checkpoint; ConfigError: it is none, or of another kind of fit."""

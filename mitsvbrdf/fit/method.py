@@ -8,7 +8,6 @@ import torch
 from torch import Tensor
 
 from ..capture import Capture
-from ..io.profile import profiled
 from ..material.maps import SVBRDF
 from ..render.needs import Omitted
 from ..views import Views
@@ -101,13 +100,12 @@ def descend(total: Tensor, *optimizers: torch.optim.Optimizer) -> float:
     for optimizer in optimizers:
         optimizer.zero_grad(set_to_none=True)
     total.backward()
-    with profiled("optimiser"):
-        gradients = [p.grad for o in optimizers for group in o.param_groups for p in group["params"]
-                     if p.grad is not None]
-        if not math.isfinite(float(torch.nn.utils.get_total_norm(gradients))):
-            return math.nan
-        for optimizer in optimizers:
-            optimizer.step()
+    gradients = [p.grad for o in optimizers for group in o.param_groups for p in group["params"]
+                 if p.grad is not None]
+    if not math.isfinite(float(torch.nn.utils.get_total_norm(gradients))):
+        return math.nan
+    for optimizer in optimizers:
+        optimizer.step()
     return 0.0
 
 

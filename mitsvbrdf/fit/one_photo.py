@@ -11,7 +11,6 @@ import torch.nn.functional as F
 from torch import Tensor
 
 from .. import color
-from ..io.profile import profiled
 from ..material.maps import SVBRDF
 from ..views import Views
 from .checkpoint import Held
@@ -96,16 +95,15 @@ class OnePhoto(Method[HierarchicalConfig]):
     def step(self, progress: float) -> dict[str, float]:
         """All descents from a start, or the next ones from the best."""
         last = self.done_steps - len(self.starts)
-        with profiled("solver"):
-            if last < 0:
-                self._descend_from(self.starts[self.done_steps])
-                cost = self._descents(TRIED, 0, TRIED, RATES[0], FEW, NODES)
-                if cost < self.best_cost:
-                    self.best, self.best_cost = self.numbers.detach().clone(), cost
-                if last == -1:
-                    self._descend_from(self.best)
-            else:
-                cost = self._descents(ITERATIONS, last * ITERATIONS, STEPS, self.pace * RATES[1], MANY, MORE)
+        if last < 0:
+            self._descend_from(self.starts[self.done_steps])
+            cost = self._descents(TRIED, 0, TRIED, RATES[0], FEW, NODES)
+            if cost < self.best_cost:
+                self.best, self.best_cost = self.numbers.detach().clone(), cost
+            if last == -1:
+                self._descend_from(self.best)
+        else:
+            cost = self._descents(ITERATIONS, last * ITERATIONS, STEPS, self.pace * RATES[1], MANY, MORE)
         self.done_steps += 1
         return {"cost": cost}
 

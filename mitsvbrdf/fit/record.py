@@ -28,7 +28,7 @@ _KNOWN = {"views": {"size": NUMBER, "falloff": str, "camera": [[NUMBER]], "light
               "intensity": [[NUMBER]]},
     "flash_offset": (dict, NONE), "capture": {"name": (str, NONE), "photos": [int], "transfer": str}}
 # where they are there
-_BESIDE = {"calibration": dict, "variant": (str, NONE), "detail": dict, "profile": dict}
+_BESIDE = {"calibration": dict, "variant": (str, NONE), "detail": dict}
 # What the page says of the views.
 FROM = {"given": "The views are those of the capture's calibration",
         "sheet": "The views come from a sheet of tags",

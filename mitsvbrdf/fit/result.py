@@ -27,8 +27,8 @@ from .fixed_maps import described
 from .options import config_of
 from .record import FILE, SCHEMA_VERSION, Fact, checked, missing, record_in
 
-_FACTS = ("rerender_rmse", "calibrated_rmse", "renderer", "variant", "warnings", "stopped", "trace",
-          "profile")  # fields of the record that :meth:`Fit.but` changes there
+# fields of the record that :meth:`Fit.but` changes there
+_FACTS = "rerender_rmse", "calibrated_rmse", "renderer", "variant", "warnings", "stopped", "trace"
 ALIKE = "with-look-alikes"  # folder of deviations that count look-alikes
 
 
@@ -53,8 +53,6 @@ class Fit:
     """One dict for each measurement: seconds, iteration, each loss, rerender_rmse."""
     stopped = Fact[str]()
     """Why it ended: settled, budget, iterations, interrupted or unstable (too many steps undone)."""
-    profile = Fact[dict | None](None)
-    """Seconds by part, where :func:`mitsvbrdf.io.profile.profiling` was on; else None."""
     rerender_rmse = Fact[float]()
     """Error of the re-rendered photos, in display values clipped to [0, 1]."""
     calibrated_rmse = Fact[float | None](None)

@@ -18,7 +18,6 @@ from torch import Tensor
 from ..capture import Capture
 from ..capture.rectify import filled
 from ..color import to_display
-from ..io.profile import profiled
 from ..material.maps import SVBRDF
 from ..measure.rerender import rerender_errors
 from ..render.needs import Omitted
@@ -87,8 +86,7 @@ class SolvedGan(Method[GanConfig]):
         losses = self.game.step((progress - self.began) / (1 - self.began))
         self.steps += 1
         if self.steps % BEAT == 0:
-            with profiled("measuring"):
-                self._judge()
+            self._judge()
         return losses
 
     def _share(self, progress: float) -> float:
@@ -112,8 +110,7 @@ class SolvedGan(Method[GanConfig]):
             self.stage = ENDED  # an answer that is not settled would gain by any change
         else:
             assert isinstance(solver, Hierarchical)  # of more photos than one
-            with profiled("uncertainty"):
-                spread = deviations(*answer, solver.task, solver.scales.basis)[0]
+            spread = deviations(*answer, solver.task, solver.scales.basis)[0]
             self._begin_game(Bounded.of(*answer, spread, DetailConfig.reach, DetailConfig.certain))
 
     def _see_as_solved(self) -> None:

@@ -13,7 +13,7 @@ from typing import Any, TextIO
 from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.live import Live
-from rich.table import Column, Table
+from rich.table import Table
 from rich.text import Text
 
 
@@ -132,14 +132,6 @@ def say_written(*paths: Path | None) -> None:
     """One line that names the written files; None stands for a file that was not asked for."""
     if names := [str(path) for path in paths if path]:
         say(f"wrote {', '.join(names)}")
-
-
-def print_profile(profile: dict[str, float]) -> None:
-    """The table of :func:`mitsvbrdf.io.profile.profile_seconds`, with shares of their sum."""
-    table = Table("part", Column("seconds", justify="right"), Column("share", justify="right"))
-    for name, seconds in profile.items():
-        table.add_row(name, f"{seconds:.2f}", f"{seconds / sum(profile.values()):.1%}")
-    print_rich(table)
 
 
 def print_numbers(title: str, numbers: dict[str, float]) -> None:

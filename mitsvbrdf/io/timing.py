@@ -1,4 +1,4 @@
-"""Seconds of whole jobs, one or several in turn. :mod:`~mitsvbrdf.io.profile` has the parts of a fit."""
+"""Seconds of whole jobs, one or several in turn."""
 
 import statistics
 import time

@@ -10,7 +10,7 @@ from mitsvbrdf.cli.fit import _say_result, with_flags
 from mitsvbrdf.fit.checkpoint import load_tensors
 from mitsvbrdf.fit.config import HierarchicalConfig
 
-ENDED = {"calibrated_rmse": None, "per_photo": [0.01], "rerender_rmse": 0.01, "profile": None,
+ENDED = {"calibrated_rmse": None, "per_photo": [0.01], "rerender_rmse": 0.01,
          "deviations": {}, "deviations_with_look_alikes": {}, "record": {"confidence": {}}, "warnings": (),
          "trace": [{"seconds": 31.4, "iteration": 90}]}
 SHOTS = SimpleNamespace(names=("00",), views=SimpleNamespace(falloff="inverse-square"))

@@ -14,7 +14,6 @@ import torch
 from torch import Tensor, nn
 
 from ...errors import ConfigError
-from ...io.profile import profiled, switch_at
 from ...material.maps import SVBRDF
 from ...material.resample import enlarged
 from ...views import Views
@@ -116,40 +115,31 @@ class Gan(Method[GanConfig]):
         if plays:
             fake, told = self._rendered(svbrdf, pictures), self._told(pictures)
             if first:
-                with profiled("discriminator"):
-                    logged["discriminator"] = self.discriminator.learn(
-                        pictures.shown, fake.detach(), self.optimizers["judge"], config.game, told)
-            with profiled("discriminator"), frozen(self.discriminator):
+                logged["discriminator"] = self.discriminator.learn(
+                    pictures.shown, fake.detach(), self.optimizers["judge"], config.game, told)
+            with frozen(self.discriminator):
                 terms = self._verdict(pictures.shown, fake, told)
                 total = losses.weighted(terms, config.weights)
-                switch_at("discriminator, backward", total)
             logged |= {name: float(value.detach()) for name, value in terms.items()}
         if first:
-            with profiled("losses"):
-                guess = self.scale.guess[pictures.window]
-                own: dict[str, Callable[[], Tensor]] = {"diffuse": lambda: losses.diffuse(svbrdf, guess),
-                    "smooth": lambda: losses.total_variation(svbrdf, losses.edge_weights(guess), self.fixed)}
-                terms = {name: loss() for name, loss in own.items() if name not in self.unused}
-                if terms:
-                    total = total + losses.weighted(terms, config.weights)
+            guess = self.scale.guess[pictures.window]
+            own: dict[str, Callable[[], Tensor]] = {"diffuse": lambda: losses.diffuse(svbrdf, guess),
+                "smooth": lambda: losses.total_variation(svbrdf, losses.edge_weights(guess), self.fixed)}
+            terms = {name: loss() for name, loss in own.items() if name not in self.unused}
+            if terms:
+                total = total + losses.weighted(terms, config.weights)
             logged |= {name: float(value.detach()) for name, value in terms.items()}
         if total.requires_grad:
             moved = [name for name in ("fast", "slow", "flash") if name in self.optimizers
                      and (first or name == "fast")]
-            with profiled("losses, backward"):
-                gradient = descend(total, *(self.optimizers[name] for name in moved))
+            gradient = descend(total, *(self.optimizers[name] for name in moved))
             logged["gradient"] = logged.get("gradient", 0.0) + gradient
 
     def _material(self, pictures: Pictures, first: bool = True) -> SVBRDF:
         """The maps proposed; of a later substep only normal and roughness carry gradients."""
-        with profiled("network"):
-            change = self._out(pictures, first)
-            switch_at("network, backward", *change.values())
-        with profiled("hand-over"):
-            fixed = {name: value[pictures.window] for name, value in self.scale.fixed.items()}
-            svbrdf = from_units(self.config.bsdf, self.scale.units(change, pictures.window), fixed)
-            switch_at("hand-over, backward", *svbrdf.maps.values())
-        return svbrdf
+        change = self._out(pictures, first)
+        fixed = {name: value[pictures.window] for name, value in self.scale.fixed.items()}
+        return from_units(self.config.bsdf, self.scale.units(change, pictures.window), fixed)
 
     def _out(self, pictures: Pictures, first: bool = True) -> dict[str, Tensor]:
         """Output of the generator before Tanh, in the window of the pictures."""
@@ -165,14 +155,9 @@ class Gan(Method[GanConfig]):
         return level(out) if self.fits_offset else out
 
     def _rendered(self, svbrdf: SVBRDF, pictures: Pictures) -> Tensor:
-        with profiled("renderer"):
-            views = seen_through(pictures.window, self._views(), self.scale.capture.resolution)
-            rendered = self.renderer.render(svbrdf, views.pick(pictures.index))
-            switch_at("renderer, backward", rendered)
-        with profiled("losses"):
-            fake = pictures.of(rendered.float())  # of analytic64 too: the networks are float32
-            switch_at("losses, backward", fake)
-        return fake
+        views = seen_through(pictures.window, self._views(), self.scale.capture.resolution)
+        rendered = self.renderer.render(svbrdf, views.pick(pictures.index))
+        return pictures.of(rendered.float())  # of analytic64 too: the networks are float32
 
     def _told(self, pictures: Pictures) -> Tensor | None:
         """What the discriminator is told beside a picture."""

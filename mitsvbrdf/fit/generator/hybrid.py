@@ -14,7 +14,6 @@ from torch import Tensor
 from torch.nn.utils import convert_conv2d_weight_memory_format
 
 from ... import color
-from ...io.profile import profiled, switch_at
 from ...material.maps import SVBRDF
 from ...views import Views
 from .. import losses
@@ -61,33 +60,23 @@ class Hybrid(Method[HybridConfig]):
         """One Adam step on all photos; the discriminator learns from one random patch of one photo."""
         for group in self.optimizer.param_groups:
             group["lr"] = self.pace * group["peak"] * cosine(progress)
-        with profiled("network"):
-            svbrdf, views = self._material(), self._views()
-        with profiled("renderer"):
-            rendered = self.renderer.render(svbrdf, views)
-            switch_at("renderer, backward", rendered)
-            rendered = self.compared(rendered)
+        svbrdf, views = self._material(), self._views()
+        rendered = self.compared(self.renderer.render(svbrdf, views))
         logged: dict[str, float] = {}
 
         def adversarial() -> Tensor:
             real, fake = self._patches(rendered)
-            switch_at("losses, backward", fake)
-            with profiled("discriminator"):
-                logged["discriminator"] = self.discriminator.learn(real, fake.detach(), self.adversary)
-                loss = losses.adversarial(real, self.discriminator.activations(fake)[-1])
-                switch_at("discriminator, backward", loss)
-            return loss
+            logged["discriminator"] = self.discriminator.learn(real, fake.detach(), self.adversary)
+            return losses.adversarial(real, self.discriminator.activations(fake)[-1])
 
         own: dict[str, Callable[[], Tensor]] = {
             "photometric": lambda: losses.photometric(rendered, self.capture.photos, self.capture.transfer),
             "diffuse": lambda: losses.diffuse(svbrdf, self.guess),
             "smooth": lambda: losses.total_variation(svbrdf, self.edges, self.fixed),
             "flat": lambda: losses.tilt(svbrdf), "adversarial": adversarial}
-        with profiled("losses"):
-            terms = {name: loss() for name, loss in own.items() if name not in self.unused}
-            total = losses.weighted(terms, self.config.weights)
-        with profiled("losses, backward"):
-            logged["gradient"] = descend(total, self.optimizer)
+        terms = {name: loss() for name, loss in own.items() if name not in self.unused}
+        total = losses.weighted(terms, self.config.weights)
+        logged["gradient"] = descend(total, self.optimizer)
         return {name: float(value.detach()) for name, value in terms.items()} | logged
 
     def estimate(self) -> tuple[SVBRDF, Views]:
@@ -97,12 +86,8 @@ class Hybrid(Method[HybridConfig]):
 
     def _material(self) -> SVBRDF:
         change = level(self.generator(self.condition))
-        switch_at("network, backward", *change.values())
-        with profiled("hand-over"):
-            svbrdf = to_svbrdf(self.config.bsdf,
-                               {name: self.start[name] + change[name] for name in self.start}, self.fixed)
-            switch_at("hand-over, backward", *svbrdf.maps.values())
-        return svbrdf
+        return to_svbrdf(self.config.bsdf, {name: self.start[name] + change[name] for name in self.start},
+                         self.fixed)
 
     def _views(self) -> Views:
         return with_flash_at(self.views, self.offset) if self.fits_offset else self.views

@@ -4,7 +4,6 @@ from functools import cached_property
 
 from torch import Tensor
 
-from ...io.profile import profiled
 from ...render import make_renderer
 from ..checkpoint import part
 from ..config import HierarchicalConfig
@@ -54,9 +53,8 @@ class ExactPhotos:
         stages, found = self.seen.stages, None
         asked = stages.exact and stages.finished and may_be_omitted(self.task)
         if asked and self.seen.budget.in_time(decision_work(self.search.scales)):
-            with profiled("solver"):
-                found = explained_without(answer, self.search, self.lobeless, stages.unexplained[1],
-                                          self.seen.observations)
+            found = explained_without(answer, self.search, self.lobeless, stages.unexplained[1],
+                                      self.seen.observations)
         stages.matte = found is not None
         return found
 

@@ -7,7 +7,6 @@ from torch import Tensor
 
 from ... import color
 from ...capture import Capture
-from ...io.profile import profiled
 from ...render import Renderer
 from . import response_curve
 from .cross_validation import AGREED, NOISES, in_turn, least_as_good, prediction_errors, steps_of_turns
@@ -68,23 +67,22 @@ class RealPhotos:
         """
         if hurried or not in_turn(self.photos):
             return scale, tied
-        with profiled("noise"):
-            held_out, found = self._held_out(tied, scale), None
-            anew = response_curve.WORK + len(held_out) * AGREED * (STEPS + 1)
-            if color.parts(scale.capture.transfer)[1] is None and self._in_time(
-                    steps_of_turns(self.photos) + anew):
-                found = response_curve.curved(scale, tied, self.seen.observations, self.prior,
-                                              self.next_prior, renderer)
-            if found:
-                other = self._held_out(found[1], found[0])
-                errors = torch.stack([self._errors(each, at) for each, at in
-                                      ((held_out, scale), (other, found[0]))])
-                if least_as_good(errors) == 1:
-                    (scale, tied), held_out = found, other
-                    self.curve = color.parts(scale.capture.transfer)[1]
-                    self.scales.see_through(scale.capture.transfer)
-            if self.seen.config.noise is None:
-                self.seen.stages.believe(self._noise(tied, scale, held_out))
+        held_out, found = self._held_out(tied, scale), None
+        anew = response_curve.WORK + len(held_out) * AGREED * (STEPS + 1)
+        uncurved = color.parts(scale.capture.transfer)[1] is None
+        if uncurved and self._in_time(steps_of_turns(self.photos) + anew):
+            found = response_curve.curved(scale, tied, self.seen.observations, self.prior, self.next_prior,
+                                          renderer)
+        if found:
+            other = self._held_out(found[1], found[0])
+            errors = torch.stack([self._errors(each, at) for each, at in
+                                  ((held_out, scale), (other, found[0]))])
+            if least_as_good(errors) == 1:
+                (scale, tied), held_out = found, other
+                self.curve = color.parts(scale.capture.transfer)[1]
+                self.scales.see_through(scale.capture.transfer)
+        if self.seen.config.noise is None:
+            self.seen.stages.believe(self._noise(tied, scale, held_out))
         return scale, tied
 
     def seen_through(self, capture: Capture) -> Capture:

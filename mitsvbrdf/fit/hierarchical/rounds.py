@@ -17,7 +17,6 @@ from dataclasses import replace
 from torch import Tensor
 
 from ...capture import Capture
-from ...io.profile import profiled
 from ...material.maps import SVBRDF
 from ...material.resample import enlarged, sampled
 from ...render import make_renderer
@@ -107,15 +106,13 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.real.closed = None
         self.measured_every = 1 if stages.exact and stages.stage == Stage.FINE else type(self).measured_every
         stages.begin_round()
-        with profiled("solver"):
-            if stages.stage == Stage.MULTI_START and not self.exact.lobes:
-                self.answer, cost = self.exact.multi_start(self.scale, self.answer, self.variant)
-            else:
-                cost = self.solve()
+        if stages.stage == Stage.MULTI_START and not self.exact.lobes:
+            self.answer, cost = self.exact.multi_start(self.scale, self.answer, self.variant)
+        else:
+            cost = self.solve()
         self._move_views()
-        with profiled("sharing"):
-            self.answer = self.photos.next_prior(self.scale, self.seen.observations(self.scale, self.answer),
-                                                 self.answer)
+        self.answer = self.photos.next_prior(self.scale, self.seen.observations(self.scale, self.answer),
+                                             self.answer)
         if self.cut:
             stages.repeat_round()
         return {"cost": float(cost)}
@@ -216,7 +213,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         work = self.corrections.work * self.scale.texels
         refined = (self.stages.last - 1,) if stage == Stage.FINE else REFINED.get(stage, ())
         if rounds in refined and self.corrections.begun(self.budget.in_time(work, "views")):
-            with profiled("views"), self.budget.timed("views", work):
+            with self.budget.timed("views", work):
                 if sloped and stage != Stage.FINE:
                     self.answer, _ = self.prior.levelled(self.answer)
                 self.corrections.refine(self.scale.solver.svbrdf(self.answer.x), self.scale.capture,
