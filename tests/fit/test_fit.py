@@ -256,7 +256,7 @@ def test_presets_are_the_papers():
     one, two = GanConfig(preset="paper-one-stage"), GanConfig(preset="paper-two-stage")
     assert one.limited(64).iterations == 20_000 and two.limited(4096).iterations == 25_000
     assert dataclasses.replace(two, pretrained="x").limited(64).iterations == 15_000
-    assert GanConfig().limited(1024).budget == 300 and GanConfig().limited(4096).budget == 1200
+    assert GanConfig().limited(64).budget == 300 and GanConfig().limited(4096).budget == 1200
     for paper in (one, two):
         assert (paper.width, paper.learning_rate, paper.discriminator_rate) == (64, 2e-5, 2e-5)
         assert (paper.normal_roughness_steps, paper.pictures, paper.game, paper.guess) == (5, 1, "bce", "min")
