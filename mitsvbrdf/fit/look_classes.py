@@ -193,15 +193,17 @@ class LookClasses:
         mean = (weight * found.slopes).sum((1, 2))
         return ((weight * found.slopes**2).sum((1, 2)) - mean**2).mean(dim=1)
 
-    def uneven(self, found: Posterior, at: Tensor) -> Tensor:
-        """How much texels differ between rings of equal half angle: a stationary material's do not.
+    def uneven(self, found: Posterior, at: Tensor) -> tuple[Tensor, Tensor]:
+        """How much texels differ between rings of equal half angle, and how much those of a stationary
+        material do by chance.
 
         The variances of their rings' means over their own, summed over the numbers of a texel.
         """
         texels = self.texels(found, self.specular)
         rings = texels[self.lit(at)[0].norm(dim=1).argsort()].tensor_split(RINGS)
-        between = torch.stack([ring.mean(dim=0) for ring in rings]).var(dim=0)
-        return (between / (texels.var(dim=0) + EVEN**2)).sum()
+        between, variance = torch.stack([ring.mean(dim=0) for ring in rings]).var(dim=0), texels.var(dim=0)
+        own = variance + EVEN**2
+        return (between / own).sum(), (variance / own).sum() * RINGS / len(at)
 
 
 def material(texels: Tensor, lost: Tensor, side: int) -> SVBRDF:

@@ -27,14 +27,16 @@ LOOKS = (0.2, 0.04), (0.4, 0.04), (0.7, 0.04)
 METALS, BLACK = ((0.3, 0.1), (0.25, 0.3), (0.25, 0.7), (0.45, 0.5)), 0.02
 # Reliefs of their classes: equal classes would have equal gradients and stay equal.
 ALIKE, APART = (0.1,) * CLASSES, tuple(0.1 * 2.0 ** (k - CLASSES // 2) for k in range(CLASSES))
-TRIED, STEPS, ITERATIONS = 50, 120, 10  # descents of a start and of the best one, and those of a step
-FEW, MANY = 512, 1536  # pixels of a descent
-NODES, MORE, MOST = 16, 24, 64  # what a pixel is averaged over: in descents of all, of the best, in the end
-RATES = 0.06, 0.03  # of Adam for all starts and for the best one
+TRIED, STEPS, ITERATIONS = 50, 80, 10  # descents of a start and of the best one, and those of a step
+AGAIN = 3  # likeliest starts, which descend once more before one is chosen: the first descents do not tell
+FEW, SOME, MANY = 512, 1024, 1536  # pixels of a descent: of all, of the likeliest, of the best
+NODES, MORE, MOST = 16, 24, 64  # what a pixel is averaged over: in descents of all, of others, in the end
+RATES = 0.06, 0.04, 0.03  # of Adam for all starts, for the likeliest and for the best one
 BEFOREHAND = 1e-3  # weight of what is known beforehand, beside the log likelihood of a pixel
 STATIONARY = 1.0  # weight of how uneven texels are, beside the log likelihood of a pixel
 UNLIKELIEST = -60.0  # log likelihood of a pixel that no class explains, at least
 CHUNK = 2048  # pixels at once
+WORST = 1e30  # cost of a start that was not tried
 # How often lobes take the slopes that means of texels lack, where the maps, laid elsewhere, then differ from
 # the photo by less than half. Twice: slopes have longer tails than normal ones.
 WIDER, LESS = (0.0, 1.0, 2.0), 0.5
@@ -50,7 +52,7 @@ def nodes(pixels: int, count: int, seed: int) -> Tensor:
 
 
 class OnePhoto(Method[HierarchicalConfig]):
-    """Descends to the likeliest look classes: from each start, then from the best one.
+    """Descends to the likeliest look classes: from each start, from the likeliest ones, from the best one.
 
     A view that is not stated has its place and light power among the unknowns.
     """
@@ -62,53 +64,64 @@ class OnePhoto(Method[HierarchicalConfig]):
         super().__init__(task)
         self.held, self.pixels = task.capture.calibrated or task.config.holds_views, Pixels.of(task.capture)
         self.begun = robust_start(task.capture, task.guess, "roughconductor", task.fixed)
-        self.starts = self._starts()
-        self.done_steps, self.best_cost = 0, math.inf
-        self._descend_from(self.starts[0])
-        self.best = self.numbers.detach().clone()
+        self.tried = self._starts()
+        self.costs, self.done_steps = torch.full((len(self.tried),), WORST), 0
+        self._descend_from(self.tried[0])
 
-    def _starts(self) -> list[Tensor]:
-        """Numbers of classes that look as pixels do away from the highlight, with each lobe."""
+    def _starts(self) -> Tensor:
+        """Numbers of classes that look as pixels do away from the highlight, with each lobe, a row each."""
         flat = LookClasses.start(torch.full((CLASSES, 3), 0.5), *LOOKS[0], ALIKE)
         half, white = LookClasses(flat, self.views, True).lit(self.pixels.at)
         aside = half.norm(dim=1) > half.norm(dim=1).median()
         looks = color.encode((self.pixels.shown / white).clamp(0, 1))[aside]
         found = basis_materials(F.pad(looks, (0, 2)).contiguous(), CLASSES, self.config.seed)[:, :3]
         found = torch.cat((found, found[-1:].expand(CLASSES - len(found), -1)))
-        return [LookClasses.start(colours, *lobe, relief) for colours, lobes, relief in (
-            (found, LOOKS, ALIKE), (torch.full_like(found, BLACK), METALS, APART)) for lobe in lobes]
+        return torch.stack([LookClasses.start(colours, *lobe, relief) for colours, lobes, relief in (
+            (found, LOOKS, ALIKE), (torch.full_like(found, BLACK), METALS, APART)) for lobe in lobes])
 
     def _descend_from(self, numbers: Tensor) -> None:
         self.numbers = numbers.clone().requires_grad_()
         self.optimizer = torch.optim.Adam([self.numbers], betas=(0.9, 0.99))
 
     @property
-    def classes(self) -> LookClasses:
-        """As they are now."""
-        return LookClasses(self.numbers.detach(), self.views, self.held)
+    def last(self) -> int:
+        """Steps of the last descent that were made; less than 0 while starts are tried."""
+        return self.done_steps - len(self.tried) - AGAIN
 
     @property
     def done(self) -> bool:
         """Whether the last descent has ended."""
-        return self.done_steps >= len(self.starts) + STEPS // ITERATIONS
+        return self.last >= STEPS // ITERATIONS
 
     def step(self, progress: float) -> dict[str, float]:
-        """All descents from a start, or the next ones from the best."""
-        last = self.done_steps - len(self.starts)
-        if last < 0:
-            self._descend_from(self.starts[self.done_steps])
-            cost = self._descents(TRIED, 0, TRIED, RATES[0], FEW, NODES)
-            if cost < self.best_cost:
-                self.best, self.best_cost = self.numbers.detach().clone(), cost
-            if last == -1:
-                self._descend_from(self.best)
+        """All descents from a start, once more from one of the likeliest, or the next ones from the best."""
+        again = self.done_steps - len(self.tried)
+        if self.last >= 0:
+            cost = self._descents(ITERATIONS, self.last * ITERATIONS, STEPS, self.pace * RATES[2], MANY, MORE)
+        elif again >= 0:
+            cost = self._try(again, AGAIN, RATES[1], SOME, MORE)
         else:
-            cost = self._descents(ITERATIONS, last * ITERATIONS, STEPS, self.pace * RATES[1], MANY, MORE)
+            cost = self._try(self.done_steps, len(self.tried), RATES[0], FEW, NODES)
         self.done_steps += 1
         return {"cost": cost}
 
+    def _try(self, k: int, of: int, rate: float, pixels: int, many: int) -> float:
+        """Descents from a start; after those from all, the likeliest goes to the front."""
+        self._descend_from(self.tried[k])
+        cost = self._descents(TRIED, 0, TRIED, rate, pixels, many)
+        self.tried[k], self.costs[k] = self.numbers.detach(), WORST if math.isnan(cost) else cost
+        if k + 1 == of:
+            order = self.costs[:of].argsort(stable=True)
+            self.tried[:of], self.costs[:of] = self.tried[order], self.costs[order]
+            self._descend_from(self.tried[0])
+        return cost
+
     def _descents(self, count: int, first: int, of: int, rate: float, pixels: int, many: int) -> float:
-        """The mean cost of a pixel over the last descents: -log of its marginal likelihood."""
+        """The mean cost of a pixel over the last descents: -log of its marginal likelihood.
+
+        What rings differ by chance counts in a descent, so that texels vary no more than they must, and not
+        in the mean: a lobe that hardly shows leaves the numbers of texels without variance.
+        """
         total, costs = len(self.pixels.at), []
         for k in range(first, first + count):
             random = torch.Generator().manual_seed(self.config.seed * 1000 + k)
@@ -116,21 +129,23 @@ class OnePhoto(Method[HierarchicalConfig]):
             classes = LookClasses(self.numbers, self.views, self.held)
             found = classes.posterior(some, nodes(pixels, many, k))
             likely = found.likely.flatten(1).logsumexp(dim=1).clamp_min(UNLIKELIEST).mean()
-            cost = STATIONARY * classes.uneven(found, some.at) - likely - BEFOREHAND * classes.prior()
+            uneven, chance = classes.uneven(found, some.at)
+            cost = STATIONARY * uneven - likely - BEFOREHAND * classes.prior()
             self.optimizer.param_groups[0]["lr"] = rate * cosine(k / of, 0.05)
             self.optimizer.zero_grad()
             cost.backward()
             if self.numbers.grad is None or not torch.isfinite(self.numbers.grad).all():
                 return math.nan
             self.optimizer.step()
-            costs.append(float(cost.detach()))
+            costs.append(float((cost - STATIONARY * chance).detach()))
         return sum(costs[-10:]) / len(costs[-10:])
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The texels by the present classes; before all starts were tried, the robust start."""
-        if self.done_steps < len(self.starts):
+        if self.last < -AGAIN:
             return self.begun, self.views
-        classes, parts = self.classes, []
+        numbers = self.numbers.detach() if self.last >= 0 else self.tried[0]
+        classes, parts = LookClasses(numbers, self.views, self.held), []
         with torch.no_grad():
             for some in torch.arange(len(self.pixels.at)).split(CHUNK):
                 found = classes.posterior(self.pixels.pick(some), nodes(len(some), MOST, self.config.seed))
@@ -150,16 +165,15 @@ class OnePhoto(Method[HierarchicalConfig]):
 
     @property
     def parts(self) -> dict[str, Held]:
-        """The numbers, those of the best start, and Adam's averages."""
-        return {"numbers": self.numbers, "best": self.best, "adam": self.optimizer}
+        """The numbers, those tried with their costs, and Adam's averages."""
+        return {"numbers": self.numbers, "tried": self.tried, "costs": self.costs, "adam": self.optimizer}
 
     def state(self) -> dict[str, Tensor]:
-        """Also how far it is, and the cost of the best start."""
-        return super().state() | {"done": torch.tensor(self.done_steps), "best_cost": torch.tensor(
-            min(self.best_cost, 1e30), dtype=torch.float64)}
+        """Also how far it is."""
+        return super().state() | {"done": torch.tensor(self.done_steps)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
         self._descend_from(self.numbers.detach())  # without averages
         super().load_state(state)
-        self.done_steps, self.best_cost = int(state["done"]), float(state["best_cost"])
+        self.done_steps = int(state["done"])
