@@ -78,7 +78,8 @@ RESPONSES: dict[str, Response] = {
 class Curve(NamedTuple):
     """What a camera does to display values beside its response, by two numbers; 0 stays 0, and 1 stays 1.
 
-    u = d^gamma goes to (1 + shoulder) u / (1 + shoulder u). Numbers, or arrays of Dr.Jit.
+    u = d^gamma goes to (1 + shoulder) u / (1 + shoulder u); above 1, which no photo shows, to its tangent.
+    Numbers, or arrays of Dr.Jit.
     """
 
     gamma: Any
@@ -89,12 +90,15 @@ class Curve(NamedTuple):
         low = TOE ** (1 / 2.2)  # a line below, as in the response
         power = do.where(display <= low, display * low ** (self.gamma - 1),
                          do.at_least(display, low) ** self.gamma)
-        return (1 + self.shoulder) * power / (1 + self.shoulder * power)
+        over = do.at_least(power - 1, 0)
+        return (1 + self.shoulder) * (power - over) / (1 + self.shoulder * (power - over)) + over / (
+            1 + self.shoulder)
 
     def straight(self, stored: Any, do: Operations) -> Any:
         """The inverse."""
         low = TOE ** (1 / 2.2)
-        power = stored / (1 + self.shoulder - self.shoulder * stored)
+        over = do.at_least(stored - 1, 0)
+        power = (stored - over) / (1 + self.shoulder * (1 - stored + over)) + over * (1 + self.shoulder)
         return do.where(power <= low**self.gamma, power * low ** (1 - self.gamma),
                         do.at_least(power, low**self.gamma) ** (1 / self.gamma))
 
