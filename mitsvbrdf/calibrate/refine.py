@@ -198,7 +198,6 @@ class Problem:
             self.clipped |= ~self.measured[..., None]
         # Of everything: light and camera move apart.
         self.renderer = renderer or AnalyticRenderer(torch.float64, Needs())
-
         self.step = STEP_FLOAT32 if renderer else STEP
         self.at_once = None if renderer else count  # the analytic renderer holds much of each view
         self.whitened = Layout(own=(count, CHANGE.size), common_flash=(2,))

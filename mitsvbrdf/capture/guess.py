@@ -94,9 +94,8 @@ def _robust(capture: Capture) -> Tensor:
                            capture.resolution, size)
     # photos that show each texel; all where none does
     shows = None if capture.measured is None else (capture.measured | ~capture.measured.any(dim=0))[..., None]
-    known = torch.ones_like(most[..., :1])
-    if shows is not None:
-        known = (resized((~shows).float(), size) == 0).float()
+    known = (torch.ones_like(most[..., :1]) if shows is None
+             else (resized((~shows).float(), size) == 0).float())
     texels = [known, _display(albedo), most.mean(-1, True), light, half]
     texels = [x.permute(3, 0, 1, 2).flatten(2).squeeze(0) for x in texels]  # N x M or 3 x N x M
     threads = torch.get_num_threads()

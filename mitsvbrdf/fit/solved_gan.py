@@ -29,6 +29,7 @@ from .detail_config import DetailConfig
 from .gan_config import FEWEST, GanConfig
 from .generator.bounded import Bounded
 from .generator.detail import DetailTraining
+from .generator.highlight_discriminator import PATCH
 from .hierarchical import Hierarchical
 from .method import Method
 from .one_photo import OnePhoto
@@ -59,6 +60,7 @@ class SolvedGan(Method[GanConfig]):
         super().__init__(task)
         self.task, self.stage, self.began, self.steps = task, 0, 0.0, 0
         self.spared = spared(task.capture, task.config.seed)
+        self.playable = len(task.capture) >= FEWEST and task.capture.resolution >= PATCH
         self.without = replace(task, capture=held_out(task.capture, self.spared), own_guess=None)
         longest = HierarchicalConfig().limited(task.capture.resolution).budget or math.inf
         self.solvers = [self._solver(task, task.config.budget and min(task.config.budget, longest))]
@@ -103,7 +105,7 @@ class SolvedGan(Method[GanConfig]):
         if self.stage == 0:
             self.answer = answer
             self._see_as_solved()
-            self.stage = 1 if len(self.capture) >= FEWEST else ENDED
+            self.stage = 1 if self.playable else ENDED
             if self.stage == 1:
                 self.solvers.append(self._solver(self.without))
         elif not solver.done:
@@ -116,8 +118,7 @@ class SolvedGan(Method[GanConfig]):
     def _see_as_solved(self) -> None:
         """Let photos have the response curve that the first solver found."""
         self.capture = self.solvers[0].capture
-        masked = self.without.capture.but(transfer=self.capture.transfer)
-        self.without = replace(self.without, capture=masked)
+        self.without = replace(self.without, capture=self.without.capture.but(transfer=self.capture.transfer))
 
     def _begin_game(self, bounded: Bounded) -> None:
         self.stage = GAME
@@ -157,10 +158,9 @@ class SolvedGan(Method[GanConfig]):
 
     def _errors(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Mean squared error of the display values of each patch, in the photo that is held out there."""
-        capture, seen = self.capture, self.spared[..., None]
         with torch.no_grad():
             images = self.renderer.render(svbrdf, views)
-        error = (to_display(images, capture.transfer) - capture.photos) * seen
+        error = (to_display(images, self.capture.transfer) - self.capture.photos) * self.spared[..., None]
         square = error.square().sum(dim=0).mean(dim=-1)
         return F.adaptive_avg_pool2d(square[None, None].float(), min(BLOCKS, len(square))).flatten()
 
@@ -200,8 +200,8 @@ class SolvedGan(Method[GanConfig]):
             found = [Omitted(f"the game's change of {name}", why) for name in self.game.bounded.bounds
                      if name not in self.kept]
         else:
-            why = ("no time was left for it, or the run was stopped" if len(self.capture) >= FEWEST else
-                   f"fewer than {FEWEST} photos: none can be held out of it")
+            why = ("no time was left for it, or the run was stopped" if self.playable else
+                   f"fewer than {FEWEST} photos, or {PATCH} pixels a side: too little to hold out")
             found = [Omitted("the game", f"{why}; the maps stay as solved")]
         return self.solvers[0].omitted + found
 

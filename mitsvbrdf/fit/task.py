@@ -64,7 +64,7 @@ class FitTask(Generic[Config]):
             asked = config.stationary
         elif not isinstance(config, GanConfig) or config.begins != "solved":
             return None
-        if config.fix or config.grey_specular:
+        if config.fix or config.grey_specular or self.capture.resolution == 1:
             return None
         if len(self.capture) > 1 or self.capture.measured is not None or config.bsdf != "roughconductor":
             return None

@@ -22,6 +22,7 @@ from .maps import SVBRDF
 from .resample import resized
 
 Colour = tuple[float, float, float]
+Value = Tensor | float | tuple[float, ...]
 
 # No bevel is steeper than 30 degrees: a flash near the lens hardly lights what turns further away.
 STEEPEST = math.tan(math.radians(30))
@@ -37,9 +38,6 @@ def painted(paint: Paint) -> dict[str, Tensor]:
         "diffuse": torch.minimum(paint.diffuse.clamp(0, 0.95), 1 - specular), "specular": specular,
         "roughness": paint.roughness.clamp(0.08, 1),
         "normal": F.normalize(torch.cat((-slope, torch.ones_like(slope[..., :1])), dim=-1), dim=-1)}
-
-
-Value = Tensor | float | tuple[float, ...]
 
 
 class Paint:

@@ -292,3 +292,9 @@ def test_only_the_papers_first_stage_is_pretrained(capture, tmp_path):
 def test_a_preset_that_is_none_is_refused():
     with pytest.raises(ConfigError, match="minutes"):
         GanConfig(preset="hours")
+
+
+@pytest.mark.parametrize("photos", [1, 9])
+def test_a_capture_of_one_texel(photos):
+    texel = photos_of(flat(1, diffuse=0.3)).pick(range(photos))
+    assert fit_svbrdf(texel, ANALYTIC, HierarchicalConfig(iterations=6)).rerender_rmse < 0.01

@@ -80,6 +80,14 @@ def test_a_game_that_only_harms_returns_the_start_bit_for_bit(tiles, photos):
         f"the game's change of {name}" for name in SPREAD]
 
 
+def test_photos_too_small_for_a_game_are_solved():
+    tiny = photos_of(make_material("tiles", 6)).pick((0, 1, 2, 3))
+    method = SolvedGan(FitTask(tiny, ANALYTIC, GanConfig()))
+    while method.stage == 0:
+        method.step(0.0)
+    assert method.done and [each.what for each in method.omitted][-1] == "the game"
+
+
 def test_of_a_game_only_the_map_that_it_helps_is_kept(tiles, photos):
     start = rougher(tiles, 0.1)
     method, random = begun(photos, start), torch.Generator().manual_seed(0)

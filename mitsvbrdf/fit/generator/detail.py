@@ -78,6 +78,8 @@ def why_not(result: Fit) -> str | None:
         return "the fit was interrupted"
     if not result.deviations:
         return "all maps are fixed"
+    if result.svbrdf.resolution < PATCH:
+        return f"the maps have fewer than {PATCH} texels a side: no patch can be compared"
     camera = result.views.in_patch_sides().camera[:, :2]
     still = (camera.amax(dim=0) - camera.amin(dim=0)).max() < 1e-3
     return ("the photos have one view: nothing says how the material looks under another"
@@ -140,13 +142,12 @@ class DetailTraining:
         svbrdf = self.material()
         rendered = self.renderer.render(svbrdf, joined(moved, self.views.pick(seen)))
         new, known = rendered[:len(lights)], rendered[len(lights):]
-        linear, measured = self.capture.linear[seen], self.capture.measured
 
         fake = torch.stack([light.under_it(image, self.side) for light, image in zip(
             lights, color.to_display(new, self.capture.transfer))])
         real = self._in_photos(lights, self.capture.photos)
-        if measured is not None:  # no error is where photos are masked
-            known = torch.where(measured[seen][..., None], known, linear)
+        if (measured := self.capture.measured) is not None:  # no error is where photos are masked
+            known = torch.where(measured[seen][..., None], known, self.capture.linear[seen])
             fake = torch.where(self._in_photos(lights, measured)[..., None], fake, real)
         half = self._in_photos(lights, self.half)
         lean = half[..., :2].norm(dim=-1, keepdim=True)

@@ -80,7 +80,8 @@ def basis_materials(appearance: Tensor, count: int, seed: int) -> Tensor:
     cv2.setRNGSeed(seed % 2**31)
     count = min(count, len(appearance))
     stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, KMEANS_ROUNDS, 1e-4)
-    _, _, centres = cv2.kmeans(appearance.numpy(), count, None, stop, KMEANS_STARTS, cv2.KMEANS_PP_CENTERS)
+    rows = appearance.expand(max(2, len(appearance)), -1).contiguous()  # one row would be read as a column
+    _, _, centres = cv2.kmeans(rows.numpy(), count, None, stop, KMEANS_STARTS, cv2.KMEANS_PP_CENTERS)
     return torch.from_numpy(centres)
 
 

@@ -26,6 +26,7 @@ def test_a_patch_of_two_colours_splits_in_two():
         assert torch.allclose(member.sum(dim=1), torch.ones(256), atol=1e-5)
         of_left, of_right = (member[left.flatten() == side].sum(dim=0) for side in (1, 0))
         assert float((of_left * of_right).sum().sqrt()) < 1e-3 * 128  # no basis material is of both
+    assert torch.equal(basis_materials(seen[:1], 64, 0), seen[:1])  # one texel
     # Kernels far wider than looks are apart: all alike.
     assert torch.allclose(membership(seen, basis_materials(seen, 2, 0), 100.0), torch.full((256, 2), 0.5),
                           atol=1e-3)
