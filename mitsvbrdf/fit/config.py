@@ -84,7 +84,7 @@ class FitConfig:
 
     def limited(self, resolution: int) -> FitConfig:
         """Itself with the method's default limit where none was given, longer for large maps."""
-        if self.budget or self.iterations:
+        if self.budget is not None or self.iterations is not None:
             return self
         limit = self.default_limit
         if "budget" in limit:

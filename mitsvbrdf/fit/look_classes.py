@@ -41,7 +41,7 @@ BEGUN = {"lightness": 0.15, "tint": 0.02, "worn": 0.1}
 ROUGHNESS, TINT, RELIEF, PLACE, POWER = 0.15, 0.05, (-2.0, 1.0), 0.15, 0.7
 SURE = 16.0  # times as sure is where and how strong the flash is, and that F0 is a dielectric's or any other
 BRIGHT, DARK = 1e-4, 1e-5  # least of linear colours, of classes and of texels
-TINY = 1e-12  # least variance of a log
+TINY = 1e-12  # least variance of a log; least radiance of white, in a channel without light
 RINGS, EVEN = 8, 0.02  # of equal half angle whose texels are alike; deviation of texels that nothing shows
 
 
@@ -114,7 +114,7 @@ class LookClasses:
             self.views.light.square().sum())
         half = F.normalize(F.normalize(light, dim=1) + F.normalize(camera, dim=1), dim=1)
         white = self.views.intensity * self.power.exp() * F.normalize(light, dim=1)[:, 2:] / reach
-        return half[:, :2] / half[:, 2:], white / half[:, 2:] / math.pi
+        return half[:, :2] / half[:, 2:], (white / half[:, 2:] / math.pi).clamp_min(TINY)
 
     def posterior(self, pixels: Pixels, nodes: Tensor) -> Posterior:
         """What M pixels may be, at nodes M x J x 3: standard normal numbers of slopes and log roughness.

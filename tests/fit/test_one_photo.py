@@ -232,3 +232,11 @@ def test_few_nodes_tell_the_likelihood_of_a_narrow_lobe():
     few, many = (float(classes.posterior(pixels, nodes(len(pixels.at), count, 0)).likely.flatten(1)
                        .logsumexp(1).mean()) for count in (16, 2048))
     assert few == pytest.approx(many, abs=0.3)  # .13; 4 where a node stands for itself alone
+
+
+def test_light_without_a_channel_is_no_look(monkeypatch):
+    monkeypatch.setattr("mitsvbrdf.fit.one_photo.TRIED", 1)
+    red = replace(VIEW, intensity=VIEW.intensity * torch.tensor([1.0, 0.0, 0.0]))
+    photo = photograph(flat(8, diffuse=0.3), red, make_renderer("analytic"))
+    fitted = fit_svbrdf(photo, make_renderer("analytic"), HierarchicalConfig(stationary=True, iterations=8))
+    assert fitted.rerender_rmse < 0.05 and not fitted.record.get("undone")

@@ -253,7 +253,7 @@ class TexelSolver:
         return found
 
     def _planes(self, values: Tensor) -> list:
-        return [from_torch(self.mi, plane) for plane in values.detach().float()]
+        return [from_torch(self.mi, plane) for plane in apart(values.detach().float().unbind())]
 
     def _known(self, views: Views, side: int) -> tuple[Needs, dict[str, Tensor]]:
         """What the scene needs, and the fixed maps that are read, C x R x R."""

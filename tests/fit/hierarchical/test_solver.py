@@ -270,6 +270,14 @@ def test_traced_once(monkeypatch):
     assert len(collecting) == traces
 
 
+def test_planes_that_share_memory_do_not_bind_later_calls():
+    case, fresh = CASES["all free"](), CASES["all free"]()
+    one = case.precision[:1].expand_as(case.precision)
+    case.solver.variances(case.observations, case.x, one)
+    assert torch.equal(case.solver.variances(case.observations, case.x, case.precision),
+                       fresh.solver.variances(fresh.observations, fresh.x, fresh.precision))
+
+
 @pytest.mark.parametrize("grey", [False, True])
 @pytest.mark.parametrize("bsdf", CHANNELS)
 def test_numbers_and_back(bsdf, grey):
