@@ -36,7 +36,7 @@ BEFOREHAND = 1e-3  # weight of what is known beforehand, beside the log likeliho
 STATIONARY = 1.0  # weight of how uneven texels are, beside the log likelihood of a pixel
 UNLIKELIEST = -60.0  # log likelihood of a pixel that no class explains, at least
 CHUNK = 2048  # pixels at once
-WORST = 1e30  # cost of a start that was not tried
+WORST = 1e30  # cost of a start that was not tried, or is not finite
 # How often lobes take the slopes that means of texels lack, where the maps, laid elsewhere, then differ from
 # the photo by less than half. Twice: slopes have longer tails than normal ones.
 WIDER, LESS = (0.0, 1.0, 2.0), 0.5
@@ -109,7 +109,10 @@ class OnePhoto(Method[HierarchicalConfig]):
         """Descents from a start; after those from all, the likeliest goes to the front."""
         self._descend_from(self.tried[k])
         cost = self._descents(TRIED, 0, TRIED, rate, pixels, many)
-        self.tried[k], self.costs[k] = self.numbers.detach(), WORST if math.isnan(cost) else cost
+        if math.isnan(cost):  # such a start is passed over
+            cost = WORST
+            self._descend_from(self.tried[k])
+        self.tried[k], self.costs[k] = self.numbers.detach(), cost
         if k + 1 == of:
             order = self.costs[:of].argsort(stable=True)
             self.tried[:of], self.costs[:of] = self.tried[order], self.costs[order]
