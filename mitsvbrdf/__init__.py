@@ -18,7 +18,7 @@ _HOME = {
     "make_renderer": "render", "using_mitsuba": "render.exclusive",
     "HierarchicalConfig": "fit", "HybridConfig": "fit", "GanConfig": "fit", "DirectConfig": "fit",
     "Fit": "fit", "FitResult": "fit", "fit_svbrdf": "fit",
-    "evaluate_fit": "evaluate", "evaluate_maps": "evaluate", "evaluate_capture": "evaluate",
+    "evaluate_fit": "evaluate.photos", "evaluate_maps": "evaluate", "evaluate_capture": "evaluate",
     "write_fit": "report.folder", "write_scene": "export.mitsuba",
     "ExportSettings": "export", "export_material": "export",
     "make_material": "material.made",

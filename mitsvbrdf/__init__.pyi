@@ -5,8 +5,8 @@ from .capture import read_capture as read_capture
 from .capture import write_capture as write_capture
 from .errors import MitsvbrdfError as MitsvbrdfError
 from .evaluate import evaluate_capture as evaluate_capture
-from .evaluate import evaluate_fit as evaluate_fit
 from .evaluate import evaluate_maps as evaluate_maps
+from .evaluate.photos import evaluate_fit as evaluate_fit
 from .export import ExportSettings as ExportSettings
 from .export import export_material as export_material
 from .export.mitsuba import write_scene as write_scene

@@ -15,8 +15,7 @@ import msgspec
 from .. import __version__
 from ..capture import Capture
 from ..errors import ConfigError, MitsvbrdfError
-from ..evaluate import as_fitted
-from ..evaluate.placement import predict
+from ..evaluate.photos import evaluate_fit
 from ..fit import DirectConfig, Fit, FitConfig, fit_svbrdf
 from ..fit.methods import METHODS
 from ..io import Report, files
@@ -200,7 +199,7 @@ def fit(capture: Capture, renderer: Renderer, config: FitConfig,
         raise ConfigError("a fit of one step or more", "none in the budget", "give a longer budget")
 
     def predicted(shots: Capture) -> float:
-        return predict(result.svbrdf, *as_fitted(result, lit(shots)))[1]
+        return float(evaluate_fit(result, lit(shots))["rerender_rmse"])
 
     return result, predicted
 

@@ -4,8 +4,6 @@ from pathlib import Path
 
 from ..calibrate.refine import UNKNOWNS, Priors, refine_views
 from ..capture import Capture
-from ..errors import ConfigError
-from ..fit.result import Fit
 from ..io.entry import entry
 from ..material.encoding import NormalConvention
 from ..material.map_files import encodings, load_maps
@@ -14,7 +12,6 @@ from ..measure.metrics import map_rmse
 from ..measure.rerender import rerender_errors
 from ..render import Renderer
 from ..views import Views, shift_lights
-from .placement import placed
 
 
 @entry()
@@ -66,20 +63,3 @@ def evaluate_capture(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
                                                     refined.deviation.tolist())}
         found["refined"] = errors(refined.views) | {"views": moved}
     return found
-
-
-@entry()
-def evaluate_fit(result: Fit, capture: Capture) -> dict:
-    """Error of a fit on the photos of its capture; see :func:`evaluate_capture`.
-
-    They are placed by :func:`placed`, with the flash offset that the fit found.
-    """
-    return evaluate_capture(result.svbrdf, *as_fitted(result, capture))
-
-
-def as_fitted(result: Fit, capture: Capture) -> tuple[Capture, Renderer, tuple[float, float] | None]:
-    """The photos placed as a fit found them, its renderer, and the flash offset it found in patch sides."""
-    engine = result.engine()
-    if engine is None:
-        raise ConfigError("a fit of one of our renderers", result.renderer, "give a renderer")
-    return placed(capture, result), engine, result.flash_offset

@@ -13,6 +13,7 @@ from ..calibrate.refine import Priors
 from ..capture import Capture
 from ..errors import ConfigError
 from ..fit.result import Fit
+from ..io.entry import entry
 from ..material.maps import SVBRDF
 from ..measure.metrics import of_all
 from ..measure.rerender import rerender, rerender_errors
@@ -57,6 +58,19 @@ def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Render
     return {"views": _words(fit, fitted, capture), "fitted_views": fitted, "held_out": held_out} | shown | {
         "calibrated": {"views": _words(fit, [], capture)} | apart(stated),
         "refined": refined and apart(refined)}
+
+
+@entry()
+def evaluate_fit(fit: Fit, capture: Capture) -> dict:
+    """Errors of a fit on photos of its capture or on others, as :func:`evaluate_photos` returns them.
+
+    Photos are placed by :func:`~mitsvbrdf.evaluate.placement.placed`, and rendered by the fit's renderer.
+    ConfigError: it had none of ours.
+    """
+    engine = fit.engine()
+    if engine is None:
+        raise ConfigError("a fit of one of our renderers", fit.renderer, "give a renderer")
+    return evaluate_photos(fit.svbrdf, fit, placed(capture, fit), engine)
 
 
 def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
@@ -124,21 +138,21 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
     Raises:
         ConfigError: no entry, or a name that stands twice.
     """
-    names = [entry.name for entry in entries]
+    names = [one.name for one in entries]
     if not names or len(set(names)) < len(names):
         raise ConfigError("methods with a name of their own", str(names or "none"), "write NAME=FOLDER")
     all_photos, capture = capture, capture if index is None else capture.pick(index)
     methods, pictures = [], []
-    for entry in entries:
-        fit = entry.fit
+    for one in entries:
+        fit = one.fit
         shots = all_photos.but(transfer=transfer or fit.transfer or capture.transfer,
                         views=replace(all_photos.views, falloff=fit.falloff))
         shots = placed(shots, fit).pick(capture.index)
-        svbrdf = entry.svbrdf.resized(capture.resolution)
+        svbrdf = one.svbrdf.resized(capture.resolution)
         images = rerender(renderer, svbrdf, fitted_views(fit, shots)[0], shots)[0]
         pictures.append(color.to_display(images, shots.transfer))
-        methods.append({"name": entry.name, "folder": entry.folder, "resolution": entry.svbrdf.resolution,
-            "bsdf": entry.svbrdf.bsdf,
+        methods.append({"name": one.name, "folder": one.folder, "resolution": one.svbrdf.resolution,
+            "bsdf": one.svbrdf.bsdf,
             "transfer": shots.transfer, "falloff": fit.falloff, "flash_offset": fit.flash_offset,
             "map_rmse": None if map_errors is None else dict(map_errors(svbrdf)),
             **evaluate_photos(svbrdf, fit, shots, renderer, priors)})

@@ -254,8 +254,16 @@ class Fit:
         return self.views.size / 100 if self.calibration.get("from") == "sheet" else None
 
     def of(self, capture: Capture) -> bool:
-        """Whether it was fitted to photos of this capture, as the names of the folders tell."""
-        return self.capture == (capture.source.name if capture.source else "")
+        """Whether it was fitted to photos of this capture, as the names of the folders tell.
+
+        Where there are no folders, photos of the same number must be the same.
+        """
+        named = capture.source.name if capture.source else ""
+        known = {} if named else self.known
+        fitted = dict(zip(self.seen, known["shots"].stored)) if "shots" in known else {}
+        return self.capture == named and all(
+            torch.equal(fitted[number], photo.to(fitted[number].dtype))
+            for number, photo in zip(capture.index, capture.stored) if number in fitted)
 
     def label(self, capture: Capture, number: int) -> str:
         """Name of a photo, and whether the fit saw it, where it was fitted to this capture."""

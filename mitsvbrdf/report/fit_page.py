@@ -14,8 +14,7 @@ from torch import Tensor
 from .. import color
 from ..capture import Capture
 from ..errors import CaptureError, MapsError, OutputError
-from ..evaluate import placed
-from ..evaluate.placement import predict
+from ..evaluate.placement import placed, predict
 from ..fit.confidence import UNKNOWN, of_texels
 from ..fit.diagnose import about_views
 from ..fit.result import Fit

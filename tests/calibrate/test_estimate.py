@@ -15,7 +15,8 @@ from mitsvbrdf.calibrate.estimate import Problem, estimate_views, self_calibrate
 from mitsvbrdf.calibrate.refine import PRIORS
 from mitsvbrdf.capture import Capture, read_capture, write_capture
 from mitsvbrdf.errors import CaptureError
-from mitsvbrdf.evaluate import evaluate_fit, placed
+from mitsvbrdf.evaluate.photos import evaluate_fit
+from mitsvbrdf.evaluate.placement import placed
 from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf
 from mitsvbrdf.fit.diagnose import about_views, views_record
 from mitsvbrdf.fit.result import Fit
@@ -181,7 +182,7 @@ def test_a_fit_estimates_views_and_says_so(glossy):
     alone = fit_svbrdf(shots, MITSUBA, HierarchicalConfig(iterations=14, calibrate=False))
     assert result.rerender_rmse < 0.2 * alone.rerender_rmse  # measured 0.0086 and 0.150
     # of views without the fit's refinement
-    assert evaluate_fit(result, shots)["rerender_rmse"] < 0.3 * alone.rerender_rmse
+    assert evaluate_fit(result, shots)["calibrated"]["rerender_rmse"] < 0.3 * alone.rerender_rmse
     assert torch.equal(alone.views.camera, shots.views.camera) and alone.flash_offset is None
     assert any("estimated from the photos" in warning for warning in result.warnings)
     assert not any("estimated" in warning for warning in alone.warnings)

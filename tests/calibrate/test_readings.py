@@ -10,7 +10,7 @@ from helpers import GRID, photos_of
 from mitsvbrdf.calibrate.readings import Reading, doubts
 from mitsvbrdf.capture import Capture, read_capture
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.evaluate import placed
+from mitsvbrdf.evaluate.placement import placed
 from mitsvbrdf.fit import DirectConfig, fit_svbrdf
 from mitsvbrdf.fit.options import FitOptions
 from mitsvbrdf.fit.result import Fit

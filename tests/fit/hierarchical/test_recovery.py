@@ -10,7 +10,7 @@ from helpers.variants import mostly_slow
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
-from mitsvbrdf.evaluate import evaluate_fit
+from mitsvbrdf.evaluate.photos import evaluate_fit
 from mitsvbrdf.fit import DirectConfig, HierarchicalConfig, fit_svbrdf
 from mitsvbrdf.fit.hierarchical import stages
 from mitsvbrdf.fit.hierarchical.stages import Stage
@@ -145,4 +145,5 @@ def test_flash_beside_the_lens_is_found(name, phone):
     assert fixed.flash_offset is None and torch.equal(fixed.views.light, shots.views.light)
     assert result.rerender_rmse < fixed.rerender_rmse
     assert fixed.calibrated_rmse is None  # it moved no view
-    assert result.calibrated_rmse == pytest.approx(evaluate_fit(result, shots)["rerender_rmse"], rel=1e-5)
+    stated = evaluate_fit(result, shots)["calibrated"]["rerender_rmse"]
+    assert result.calibrated_rmse == pytest.approx(stated, rel=1e-5)

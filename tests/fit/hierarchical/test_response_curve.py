@@ -14,7 +14,6 @@ from matplotlib.image import imread
 from mitsvbrdf import color
 from mitsvbrdf.color import Curve, of_torch
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.evaluate import as_fitted
 from mitsvbrdf.evaluate.placement import placed
 from mitsvbrdf.fit import Fit, FitTask, GanConfig, HierarchicalConfig, fit_svbrdf, make_method
 from mitsvbrdf.fit.hierarchical import response_curve, stages
@@ -107,7 +106,7 @@ def test_a_curve_is_found_told_and_used(bent):
     plain = display - TRUE.bent(display, of_torch())
     assert off.abs().max() < plain.abs().max() / 3
     assert any("response curve" in told for told in fit.warnings)
-    assert fit.transfer == fit.record["capture"]["transfer"] == as_fitted(fit, shots)[0].transfer
+    assert fit.transfer == fit.record["capture"]["transfer"] == placed(shots, fit).transfer
     images = TWIN.render(fit.svbrdf, fit.views)
     error = color.to_display(images, fit.transfer) - shots.photos
     assert error.square().mean().sqrt() == pytest.approx(fit.rerender_rmse, rel=1e-4)
