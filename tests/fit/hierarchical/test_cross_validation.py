@@ -69,7 +69,7 @@ def test_no_photo_helps_to_predict_itself(case):
 
 
 @pytest.mark.parametrize("count, omitted", [
-    (3, []), (4, [0, 1, 2, 3]), (6, [*range(6)]), (9, [0, 2, 4, 6, 8]), (25, [0, 5, 10, 15, 20])])
+    (3, []), (4, [0, 1, 2, 3]), (9, [*range(9)]), (12, [*range(12)]), (25, [*range(0, 25, 3)])])
 def test_which_photos_are_left_out_in_turn(count, omitted):
     assert [*in_turn(count)] == omitted
 
