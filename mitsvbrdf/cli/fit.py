@@ -48,7 +48,7 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
             "First stage of --preset paper-two-stage: train the generator on the first photo; OUT is its "
             "checkpoint, for --pretrained."))] = False,
         resume: Annotated[bool, arg(
-            help="Continue from the checkpoint in OUT, with equal options and more --iterations.")] = False,
+            help="Continue an unfinished run, else OUT; --iterations and --budget may differ.")] = False,
         overwrite: Overwrite = False, strict: Strict = False, advanced: Advanced = False) -> int:
     """Recover the maps of a material from photos.
 
