@@ -191,7 +191,7 @@ def errors_against(reference: str, resolution: int, encoding: MapEncoding,
 
 
 def views_of(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views]:
-    """Names and views of a capture (:func:`~mitsvbrdf.evaluate.placed`), or of ``builtin:grid``."""
+    """Names and views of a capture (:func:`~mitsvbrdf.evaluate.placement.placed`), or of ``builtin:grid``."""
     from ..evaluate.placement import named_views
 
     names, views, notes = named_views(source, falloff, fit)

@@ -40,7 +40,7 @@ def write_quality(result: CaptureResult, folder: str | Path) -> None:
 
 
 def quality_record(result: CaptureResult) -> dict:
-    """All numbers of the page; docs/formats.md explains each."""
+    """All numbers of the page; docs/formats.md explains the main ones."""
     number = {name: f"{i:02d}" for i, name in enumerate(result.used)}
     rows, known = [], result.capture.calibrated
     for photo in result.photos:
