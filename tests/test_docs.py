@@ -23,10 +23,8 @@ SHORTER = [(r"--budget \d+", "--iterations 3"), (r"resolution=\d+", "resolution=
            (r"\(seed=0\)", "(seed=0, iterations=3)"),
            (r"(make_material\(\S+,) \d+", r"\1 32"), (r"error<\S+\b", "error<1")]
 QUICK = {"crosscheck": ["--repeats", "1", "--bsdf", "roughconductor", "--resolution", "32"],
-         "capture": ["--resolution", "64"],
-         "report": ["--quick"],
-         "stability": ["--only", "clipped", "--renderer", "analytic"],
-         "relight": ["--size", "24", "--frames", "1", "--samples", "2"],
+         "capture": ["--resolution", "64"], "report": ["--quick"], "stability": ["--only", "clipped",
+         "--renderer", "analytic"], "relight": ["--size", "24", "--frames", "1", "--samples", "2"],
          "bench": ["--methods", "direct", "--budgets", "0.3", "--resolution", "16"]}
 
 
@@ -198,8 +196,7 @@ def test_capture_page_commands(tmp_path, monkeypatch):
     lines = commands(ROOT / "docs/capture.md")
     assert [line.split()[0] for line in lines] == ["synth", "sheet", "capture", "fit"]
     short = {"synth": ["--megapixels", "0.7", "--photos", "4", "--resolution", "256"],
-             "capture": ["--resolution", "64"],
-             "fit": ["--iterations", "3", "--resolution", "32"]}
+             "capture": ["--resolution", "64"], "fit": ["--iterations", "3", "--resolution", "32"]}
     for line in lines:
         arguments = shlex.split(re.sub(r" --spoil .*", "", line))
         assert cli.main([*arguments, *short.get(arguments[0], [])]) == 0, line

@@ -129,8 +129,7 @@ class RayTasks:
         except exceptions.RayTaskError as reason:
             return {"state": "failed", "reason": str(reason.cause)}
         except exceptions.RayError:
-            return {"state": "crashed",
-                    "reason": "its worker died, by itself, by hand, or as memory ran out"}
+            return {"state": "crashed", "reason": "its worker died, by itself, by hand, or as memory ran out"}
 
     def _start(self, folder: Path) -> None:
         """Start a Ray of its own, or join a cluster."""

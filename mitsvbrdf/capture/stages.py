@@ -146,5 +146,4 @@ def capture_keys(result: CaptureResult) -> dict:
                      if name in result.used}
         uncertainty = dict(result.shading.deviations) | {"log_exposure": exposures}
     return {"unit": result.rig.unit, "photos": result.used, "rejected": result.rig.rejected,
-            "rig": rig_to_json(result.rig) if result.capture.calibrated else None,
-            "uncertainty": uncertainty}
+            "rig": rig_to_json(result.rig) if result.capture.calibrated else None, "uncertainty": uncertainty}

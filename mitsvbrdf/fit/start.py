@@ -40,8 +40,7 @@ def _lobe(capture: Capture, guess: Tensor, fixed: Mapping[str, Tensor]) -> tuple
     side = min(64, capture.resolution)
     shrink = torch.nn.AdaptiveAvgPool2d(side)
     radiance = shrink(capture.linear.permute(0, 3, 1, 2)).permute(0, 2, 3, 1)
-    usable = (shrink(capture.usable.float().permute(0, 3, 1, 2)).permute(0, 2, 3, 1)
-              > 0.99).float()
+    usable = (shrink(capture.usable.float().permute(0, 3, 1, 2)).permute(0, 2, 3, 1) > 0.99).float()
     small = shrink(guess.permute(2, 0, 1)[None])[0].permute(1, 2, 0)
     lobe_maps = {name: fixed[name] for name in ("specular", "roughness", "normal") if name in fixed}
     if lobe_maps:

@@ -168,9 +168,8 @@ def _burnt_in(result: Fit) -> Iterator[str]:
         # fewer texels have it by chance
         if share > OVALS and name not in fixed and result.svbrdf.resolution >= LOCAL_SIDE:
             yield (f"the {name} map has ovals where single photos had their highlights ({share:.0%} of it): "
-                   "they are "
-                   "hardly the material's; add photos from other places, with the highlights elsewhere, and "
-                   "fit again")
+                   "they are hardly the material's; add photos from other places, with the highlights "
+                   "elsewhere, and fit again")
 
 
 def _cut_short(result: Fit) -> Iterator[str]:

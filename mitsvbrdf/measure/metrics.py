@@ -142,8 +142,7 @@ def flip(image: Tensor, reference: Tensor, transfer: color.Transfer = "gamma2.2"
                            'pip install "mitsvbrdf[flip]"') from None
     if image.shape != reference.shape or image.ndim != 3 or image.shape[2] != 3:
         raise MapsError("two pictures of one shape H x W x 3",
-                        f"{tuple(image.shape)} and {tuple(reference.shape)}",
-                        "compare one view at a time")
+                        f"{tuple(image.shape)} and {tuple(reference.shape)}", "compare one view at a time")
     shown = (color.to_display(x.detach().float(), transfer).contiguous().numpy() for x in (reference, image))
     return torch.as_tensor(flip_evaluator.evaluate(*shown, "LDR", applyMagma=False,
                                                    computeMeanError=False)[0])[..., 0]

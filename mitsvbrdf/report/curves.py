@@ -22,8 +22,7 @@ def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
     rows = list(trace[::max(1, math.ceil(len(trace) / MOST_POINTS))])
     rows += [trace[-1]] if trace and rows[-1] is not trace[-1] else []
     lines = {name: [(row["seconds"], row[name]) for row in rows if _drawable(row["seconds"])
-                    and _drawable(row.get(name))]
-             for name in names}
+                    and _drawable(row.get(name))] for name in names}
     lines = {name: points for name, points in lines.items() if points}
     if not lines:
         return None

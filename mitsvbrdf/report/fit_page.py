@@ -124,8 +124,7 @@ def _predicted(found: Fit, capture: Capture, engine: Renderer, into: Path) -> tu
         images.write_png(into / "predicted" / f"{name}.png", image,
                          shown=partial(color.to_display, transfer=capture.transfer))
     return [{"name": name, "held_out": True, "rmse": rmse, "photo": f"photos/{name}.png",
-             "rerendered": f"predicted/{name}.png"}
-            for name, rmse in zip(capture.names, each)], error
+             "rerendered": f"predicted/{name}.png"} for name, rmse in zip(capture.names, each)], error
 
 
 def _earlier(found: Fit) -> tuple[list[dict], float | None]:

@@ -98,9 +98,8 @@ def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_ou
                for name in result.svbrdf.maps}
     title = title.encode(errors="replace").decode()  # of a folder whose name is not UTF-8
     write_sheet(out / "sheet.png", result.svbrdf.resized(min(SHEET, result.svbrdf.resolution)),
-                torch.stack([at_most(photo, SHEET, color.shown) for photo in capture.stored]),
-                small, rmse=result.rerender_rmse, per_photo=result.per_photo,
-                guess=at_most(result.guess, SHEET),
+                torch.stack([at_most(photo, SHEET, color.shown) for photo in capture.stored]), small,
+                rmse=result.rerender_rmse, per_photo=result.per_photo, guess=at_most(result.guess, SHEET),
                 names=capture.names, title=title, remarks=remarks)
     write_scene(out, result.svbrdf, result.views)
     # held-out photos of an earlier fit are none of this one's

@@ -140,8 +140,7 @@ def _paper(mi: ModuleType, sheet: Sheet, depth: float) -> dict:
                                              "right": (n - edge, edge, n, n - edge)}.items():
         x, y = (np.array([left + right, -top - bottom]) / n + (-1, 1)) * sheet.outer / 2
         across, up = (np.array([right - left, bottom - top]) / n) * sheet.outer / 2
-        shapes[f"paper_{name}"] = {
-            "type": "rectangle",
+        shapes[f"paper_{name}"] = {"type": "rectangle",
             "to_world": mi.ScalarTransform4f().translate([x, y, depth]).scale([across, up, 1]),
             "bsdf": {"type": "diffuse", "reflectance": _texture(mi, albedo[top:bottom, left:right])}}
     return shapes

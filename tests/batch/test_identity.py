@@ -62,11 +62,9 @@ def test_a_capture_may_move_and_be_called_otherwise(capture, tmp_path):
 
 def test_it_changes_with_options_settings_and_version(capture, monkeypatch):
     found = [identity_of(capture), identity_of(capture, resolution=128), identity_of(capture, views="0,1"),
-             identity_of(capture, HierarchicalConfig(budget=11.0)),
-             identity_of(capture, HierarchicalConfig(budget=10.0, seed=1)),
-             identity_of(capture, GanConfig(budget=10.0)),
-             replace(asked(capture), pages=True).identity,
-             replace(asked(capture), strict=True).identity]
+             identity_of(capture, HierarchicalConfig(budget=11.0)), identity_of(capture,
+             HierarchicalConfig(budget=10.0, seed=1)), identity_of(capture, GanConfig(budget=10.0)),
+             replace(asked(capture), pages=True).identity, replace(asked(capture), strict=True).identity]
     monkeypatch.setattr(asked_module, "__version__", "99")
     assert len({*found, identity_of(capture)}) == len(found) + 1
 

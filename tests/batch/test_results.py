@@ -19,10 +19,8 @@ FOLDER = "wood-aaaaaaaa"
 NO_RECORDS = ("", "{", "[]", "3", "{}", '{"identity": "a"}', "\xff", "[" * 100_000, '{"identity": NaN}')
 STATED = {"identity": "a" * 64, "name": "wood", "row": {}, "files": {}}
 SPOILED = ({"row": []}, {"identity": 3}, {"row": {"error": "low"}}, {"row": {"warnings": "many"}},
-           {"tags": [1]},
-           {"files": {"fit.json": 3}}, {"files": {"../fit.json": {"bytes": 1, "sha256": ""}}},
-           {"name": "../wood"},
-           {"name": "brick"}, {"identity": "b" * 64}, {"source": "\ud800"})
+           {"tags": [1]}, {"files": {"fit.json": 3}}, {"files": {"../fit.json": {"bytes": 1, "sha256": ""}}},
+           {"name": "../wood"}, {"name": "brick"}, {"identity": "b" * 64}, {"source": "\ud800"})
 
 
 @pytest.fixture(params=["folder", "store"])

@@ -26,9 +26,8 @@ def stated(capture: Capture, turn=lambda x, y: (x, y), side: float = 1.0, length
     def rows(places):
         return torch.tensor([[*turn(x, y), z] for x, y, z in places.tolist()], dtype=places.dtype) * lengths
 
-    return replace(capture, views=replace(
-        views, camera=rows(views.camera), light=rows(views.light), intensity=views.intensity * light,
-        size=views.size * lengths * side))
+    return replace(capture, views=replace(views, camera=rows(views.camera), light=rows(views.light),
+        intensity=views.intensity * light, size=views.size * lengths * side))
 
 
 WRONG = {"y down": (dict(turn=lambda x, y: (x, -y)), "--axes right-down"),

@@ -19,11 +19,10 @@ def test_output_that_cannot_be_written(shots, tmp_path, capsys):
         fails(capsys, tmp_path, ["fit", shots, "-o", "/proc/out", *FAST], "/proc/out")
 
 
-WRITING = [["crosscheck", "--json"], ["crosscheck", "--html"], ["stability", "--json"],
-    ["evaluate", "builtin:tiles", "--reference", "builtin:tiles", "--json"],
-    ["compare", "builtin:tiles", "--capture", "shots", "-o"],
-    ["compare", "builtin:tiles", "--capture", "shots", "-o", "../c.html", "--json"], ["bench", "--page"],
-    ["sheet", "-o"], ["pretrain", "shots", "-o"]]
+WRITING = [["crosscheck", "--json"], ["crosscheck", "--html"], ["stability", "--json"], ["evaluate",
+    "builtin:tiles", "--reference", "builtin:tiles", "--json"], ["compare", "builtin:tiles", "--capture",
+    "shots", "-o"], ["compare", "builtin:tiles", "--capture", "shots", "-o", "../c.html", "--json"], ["bench",
+    "--page"], ["sheet", "-o"], ["pretrain", "shots", "-o"]]
 
 
 @pytest.fixture

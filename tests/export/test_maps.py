@@ -83,12 +83,11 @@ def test_names_are_those_of_the_libraries(tmp_path):
 
 
 # What Blender's Node Wrangler takes a file for, by the words of its name.
-BLENDER_WORDS = {
-    "base_color": {"diffuse", "diff", "albedo", "base", "col", "color", "basecolor"},
+BLENDER_WORDS = {"base_color": {"diffuse", "diff", "albedo", "base", "col", "color", "basecolor"},
     "metallic": {"metallic", "metalness", "metal", "mtl"}, "roughness": {"roughness", "rough", "rgh"},
     "normal": {"normal", "nor", "nrm", "nrml", "norm"}, "specular_level": {"specular", "spec", "spc"},
-    "height": {"displacement", "displace", "disp", "dsp", "height", "heightmap"},
-    "occlusion": {"ao", "ambient", "occlusion"}}
+    "height": {"displacement", "displace", "disp", "dsp", "height", "heightmap"}, "occlusion": {"ao",
+    "ambient", "occlusion"}}
 
 
 @pytest.mark.parametrize("naming", ["polyhaven", "ambientcg", "substance"])

@@ -37,9 +37,8 @@ def stated(path: str) -> Drawn[dict]:
     other = change("state", path=path, steps=steps, raw=tokens)
     return st.one_of(other, other, change("state", path=path, steps=steps, raw=None), spoiled(path),
                      change("state", path=path, steps=steps, raw="[", again=st.sampled_from((300, 100_000))),
-                     change("put", path=path, text=st.sampled_from(TEXTS)),
-                     change("put", path=path, text="{}", code="utf-16"),
-                     change("put", path=path, text="[", again=100_000))
+                     change("put", path=path, text=st.sampled_from(TEXTS)), change("put", path=path,
+                     text="{}", code="utf-16"), change("put", path=path, text="[", again=100_000))
 
 
 def replaced(*paths: str) -> Drawn[dict]:
@@ -170,9 +169,8 @@ def folders() -> Drawn[Case]:
                                                             "--overwrite",
                "guess ../in/capture -o out --resolution 16")
     written = "fit.json report.html report.json photos photos/00.png maps maps/diffuse.exr sheet.png"
-    fitted = of("in/fit", "capture fit", written,
-                f"fit ../in/capture -o ../in/fit --overwrite {FIT}", "report ../in/fit --quick",
-                "report ../in/fit --quick --capture ../in/capture")
+    fitted = of("in/fit", "capture fit", written, f"fit ../in/capture -o ../in/fit --overwrite {FIT}",
+                "report ../in/fit --quick", "report ../in/fit --quick --capture ../in/capture")
     return st.one_of(made, made, fresh, fitted)
 
 

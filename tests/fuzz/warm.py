@@ -49,8 +49,7 @@ class Warm:
         """
         assert self._process.stdin
         request = {"arguments": arguments, "folder": str(folder), "said": str(said),
-                   "temporary": str(temporary),
-                   "seconds": seconds, "grace": grace}
+                   "temporary": str(temporary), "seconds": seconds, "grace": grace}
         self._process.stdin.write(json.dumps(request) + "\n")
         self._process.stdin.flush()
         answer = self._answer()
@@ -82,8 +81,7 @@ def serve(warm: Callable[[], None], main: Callable[[], int]) -> None:
             _live(request, main)
         status, signals, used = _wait(child, request["seconds"], request["grace"])
         answer({"code": status, "signals": signals, "seconds": time.monotonic() - begun,
-                "peak": used.ru_maxrss << 10,
-                "cpu": used.ru_utime + used.ru_stime})
+                "peak": used.ru_maxrss << 10, "cpu": used.ru_utime + used.ru_stime})
 
 
 def _live(request: Mapping, main: Callable[[], int]) -> None:

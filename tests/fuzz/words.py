@@ -20,12 +20,10 @@ TOKENS = (
 # Content that is no JSON, or not that of any of our files.
 TEXTS = ("", "[]", "null", "{", "\udcff", "1", '""', "\ufeff{}")
 # Names in a list of files; most lead outside, from a folder that lies two below that of the case.
-NAMES = (
-    "../../outside/secret.txt", "../../outside/folder", "../../outside/folder/keep.txt",
-    "@@/outside/secret.txt",
-    "@@/outside/folder", "maps/../../../outside/secret.txt", "to/secret.txt", "to", "..", ".", "", "a\0b",
-    "n" * 300, "\ud800",
-    "fit.json", "maps", "maps/diffuse.exr", "diffuse.exr", "diffuse.png")
+NAMES = ("../../outside/secret.txt", "../../outside/folder", "../../outside/folder/keep.txt",
+    "@@/outside/secret.txt", "@@/outside/folder", "maps/../../../outside/secret.txt", "to/secret.txt", "to",
+    "..", ".", "", "a\0b", "n" * 300, "\ud800", "fit.json", "maps", "maps/diffuse.exr", "diffuse.exr",
+    "diffuse.png")
 # Values of options.
 WORDS = (
     "", " ", "nan", "inf", "-inf", "1e300", "-1e300", "1e400", "-1", "0", "1", "0.5", "1e-320", "9" * 20,

@@ -61,9 +61,8 @@ def soak(renderers, bsdf, work, steps, resolution=64):
     tenth = max(1, (steps - warm) // 10)
     return {"slope": 100 * statistics.linear_regression(range(steps - warm), memory[warm:]).slope,
             "late": [step for step in range(2 * turn, steps) if kernels[step + 1] > kernels[step]],
-            "variables": variables() - before,
-            "milliseconds": [1e3 * statistics.median(part) for part in (seconds[warm:warm + tenth],
-                                                                        seconds[-tenth:])]}
+            "variables": variables() - before, "milliseconds": [1e3 * statistics.median(part)
+            for part in (seconds[warm:warm + tenth], seconds[-tenth:])]}
 
 
 def moving_views(rng, apart):

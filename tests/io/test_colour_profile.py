@@ -81,9 +81,8 @@ def test_code_points_and_gamma_of_a_png(tmp_path):
 
 
 # what ImageMagick 6.9 makes of a colour: convert -profile SPACE -intent relative -profile sRGB
-BY_IMAGEMAGICK = {"Display P3": ((184, 56, 42), (200.1, 39.8, 29.9)),
-                  "Rec. 2020": ((150, 110, 80), (171.3, 103.8, 74.0)),
-                  "Adobe RGB": ((184, 56, 42), (213.4, 53.0, 36.7))}
+BY_IMAGEMAGICK = {"Display P3": ((184, 56, 42), (200.1, 39.8, 29.9)), "Rec. 2020": ((150, 110, 80),
+                  (171.3, 103.8, 74.0)), "Adobe RGB": ((184, 56, 42), (213.4, 53.0, 36.7))}
 
 
 @pytest.mark.parametrize(("space", "primaries"), [("Display P3", 12), ("Rec. 2020", 9)])

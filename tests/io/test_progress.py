@@ -69,8 +69,7 @@ def on_a_terminal(code):
     """What this Python code writes to a terminal."""
     ours, theirs = pty.openpty()
     subprocess.run([sys.executable, "-c", code], stdout=theirs, check=True, timeout=60,
-                   env=os.environ | {"PYTHONPATH": str(ROOT), "TERM": "xterm-256color",
-                                     "COLUMNS": "200"})
+                   env=os.environ | {"PYTHONPATH": str(ROOT), "TERM": "xterm-256color", "COLUMNS": "200"})
     os.close(theirs)
     return os.read(ours, 100_000).decode()
 

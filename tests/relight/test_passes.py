@@ -131,5 +131,4 @@ def test_all_numbers_of_samples_share_one_kernel(mi, scenes):
 
 def test_radiance_that_is_not_finite_is_refused():
     with pytest.raises(MapsError, match="NaN"):
-        render_passes(lambda call, samples: torch.tensor([math.nan]).expand(4, 4, 3), 4,
-                      pixels=16)
+        render_passes(lambda call, samples: torch.tensor([math.nan]).expand(4, 4, 3), 4, pixels=16)

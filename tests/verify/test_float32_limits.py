@@ -45,9 +45,8 @@ def test_limit_is_what_a_turn_of_the_normals_does():
     angle = (torch.rand(24, 24, 1, generator=torch.Generator().manual_seed(3), dtype=torch.float64) * 2
              * torch.pi)
     turned = svbrdf["normal"].double() + UNIT_ROUNDOFF * (angle.cos() * first + angle.sin() * second)
-    moved = render_and_gradients(TWIN,
-                                 SVBRDF("roughconductor", {**svbrdf.to(torch.float64).maps,
-                                                           "normal": turned}), THREE)
+    moved = render_and_gradients(TWIN, SVBRDF("roughconductor",
+                                 {**svbrdf.to(torch.float64).maps, "normal": turned}), THREE)
     shares = {"image": (moved.image - exact.image) / limit.image}
     shares |= {n: (moved.gradients[n] - exact.gradients[n]) / limit.gradients[n] for n in exact.gradients}
     for name, share in shares.items():
