@@ -30,8 +30,7 @@ STRIPS = "tex.png", "strip.png"  # names of strips of maps in folders
 # also with an input photo before them, and MaterialGAN's.
 FLAT = 0.5, 0.5, 1.0  # normals as stored
 DESCHAINTRE = "normal", "diffuse", "roughness", "specular"
-ORDERS = {0: (DESCHAINTRE, "linear"),
-          1: (("diffuse", "normal", "roughness", "specular"), "gamma 2.2")}
+ORDERS = {0: (DESCHAINTRE, "linear"), 1: (("diffuse", "normal", "roughness", "specular"), "gamma 2.2")}
 
 
 class MapSet(NamedTuple):
@@ -48,11 +47,13 @@ class MapSet(NamedTuple):
     way: str = OVERRULE  # how the user overrules an encoding, which stands in {}
 
     def code(self, name: str) -> str:
-        """The encoding of a map's 8- and 16-bit file, or the convention of normals. A profile of its colours,
-        from which it is converted to sRGB, goes before a habit.
+        """The encoding of a map's file, linear of EXR, or the convention of normals. A profile of colours,
+        from which they are converted to sRGB, goes before a habit.
         """
         usual, path = ENCODINGS[self.habit], self.sources.get(name, Source(None)).path
-        if name in COLOURS and path and path.suffix.lower() != ".exr":
+        if name != "normal" and path and path.suffix.lower() == ".exr":
+            return "linear"
+        if name in COLOURS and path:
             profile = header(path, MapsError).profile
             usual = ENCODINGS["srgb"] if profile and profile.icc else usual
         return self.stated.get(name, usual.get(name, "" if name == "normal" else "linear"))

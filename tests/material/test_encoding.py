@@ -11,8 +11,10 @@ from helpers.map_files import UP, written
 from PIL import Image
 
 from mitsvbrdf.errors import AssumedWarning
+from mitsvbrdf.evaluate import evaluate_maps
 from mitsvbrdf.io.images import write_exr
 from mitsvbrdf.material.map_files import load_maps
+from mitsvbrdf.material.maps import flat
 
 LINEAR = imagecodecs.cms_profile("rgb", whitepoint=SRGB[6:], primaries=SRGB[:6], gamma=1.0)
 
@@ -29,6 +31,12 @@ def test_a_profile_counts_before_a_habit_and_never_twice(names, encoding, tmp_pa
         found = load_maps(tmp_path, encoding=encoding)
     assert found["diffuse"][0, 0].tolist() == pytest.approx([64 / 255, 128 / 255, 200 / 255], abs=1e-4)
     assert found["specular"][0, 0].tolist() == pytest.approx([90 / 255, 60 / 255, 30 / 255], abs=1e-4)
+
+
+def test_the_roughness_of_an_exr_is_measured_as_stored(tmp_path):
+    for name, value in flat(8, roughness=0.25).maps.items():
+        write_exr(tmp_path / f"{name}.exr", value)
+    assert evaluate_maps(flat(8, roughness=0.5), tmp_path)["roughness"] == pytest.approx(0.25)
 
 
 def test_an_encoding_asked_of_an_exr_is_said_not_to_count(tmp_path):
