@@ -26,6 +26,7 @@ from .capture import LEAST_SIDE, Calibration, Capture, Converted, converted, not
 from .photo import HEIC, PLAIN, files_of
 from .rectify import filled
 from .sharpness import CLEARLY, MOST_PHOTOS, carried, middle
+from .turned import SIDE, laid_alike
 
 NUMBER = Annotated[float, Meta(ge=-1e300, le=1e300)]  # no NaN either
 ROW = Annotated[list[NUMBER], Meta(min_length=3, max_length=3)]
@@ -148,7 +149,8 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
     if (held := len(paths) * kept**2) > MOST_HELD:
         raise CaptureError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together",
                            f"{held / 1e6:.0f} in {source}", "read them at a lower resolution")
-    photos, outside, middles, single = np.empty(0), {}, list[np.ndarray](), list[np.ndarray]()
+    photos, outside = np.empty(0), {}
+    middles, single, larger = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
     for row, (path, about) in enumerate(zip(paths, headers)):
         found = picture(path, CaptureError)
         pixels = upright(found.pixels, about.orientation)
@@ -156,6 +158,8 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
             middles.append(middle(pixels))
         if kept < side:
             single.append(display(single_pixels(pixels, kept)))
+        if kept < SIDE <= side:
+            larger.append(averaged(pixels, SIDE))
         if kept < side or found.opaque is not None:
             pixels = averaged(pixels, kept)
         if not row:
@@ -170,9 +174,10 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
     pictures, measured = (torch.from_numpy(photos), None) if whole else filled(list(photos))
     colours = {**(told or {}),
                **converted({path.name: about.profile for path, about in zip(paths, headers)}, outside)}
-    return Capture(pictures, views, transfer, tuple(index), calibration, source, tuple(notes_of(colours)),
-                   colours, measured, carried(middles, side, kept) if middles else None,
-                   torch.from_numpy(np.stack(single)) if single else None)
+    capture = Capture(pictures, views, transfer, tuple(index), calibration, source, tuple(notes_of(colours)),
+                      colours, measured, carried(middles, side, kept) if middles else None,
+                      torch.from_numpy(np.stack(single)) if single else None)
+    return laid_alike(capture, Capture(torch.from_numpy(np.stack(larger)), views)) if larger else capture
 
 
 def _common_side(paths: list[Path], sizes: list[tuple[int, int]], source: Path) -> int:

@@ -52,9 +52,12 @@ def ways(capture: Capture) -> list[int]:
     return found
 
 
-def laid_alike(capture: Capture) -> Capture:
-    """The capture with photos laid as most lie, where their pattern clearly tells; with a note of each."""
-    found = ways(capture)
+def laid_alike(capture: Capture, larger: Capture | None = None) -> Capture:
+    """The capture with photos laid as most lie, where their pattern clearly tells; with a note of each.
+
+    ``larger``: the same photos in more pixels, to look at instead.
+    """
+    found = ways(larger or capture)
     if not any(found):
         return capture
     kept = {"photos": capture.stored, "measured": capture.measured, "single": capture.single}
