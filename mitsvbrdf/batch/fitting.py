@@ -100,7 +100,7 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
     made = rectified(capture, out / "capture", asked["sheet"], transfer)
     photos = read_capture(made, options.resolution, transfer=transfer if made == capture else None,
                           falloff=options.light(config))
-    photos = photos.but(source=capture)  # what it is called
+    photos = photos.but(source=photos.source if made == capture else capture)  # what it is called
     shots, shown = options.chosen(photos)
     engine = _renderer(options.renderer, options.variant)
     result = fit_svbrdf(shots, engine, config)

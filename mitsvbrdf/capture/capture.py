@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -141,8 +142,13 @@ class Capture:
         return self.stored.shape[0]
 
     def __repr__(self) -> str:
-        name = self.source.name if self.source else "without a folder"
+        name = self.name or "without a folder"
         return f"Capture({name}, photos {', '.join(self.names)}, {self.resolution} px, {self.transfer})"
+
+    @property
+    def name(self) -> str:
+        """Name of its folder; empty without one."""
+        return os.path.basename(os.path.abspath(self.source)) if self.source else ""
 
     @property
     def calibrated(self) -> bool:

@@ -29,8 +29,7 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
             normal: options.MapNormal = "auto", views: options.ViewList = None,
             resolution: Annotated[int | None, arg(
                 help="Side of photos and maps. Default: the smallest among them, at most 256.")] = None,
-            renderer: RendererName = "mitsuba", transfer: Annotated[options.TransferOption, arg(
-                help="Encoding of light in photos. auto: as in each fit.")] = "auto",
+            renderer: RendererName = "mitsuba", transfer: options.FittedTransfer = "auto",
             refine_views: Annotated[bool, arg(
                 help="Measure again with camera, flash and exposure of each photo refined.")] = False,
             json_file: options.JsonFile = None, variant: options.Variant = "llvm_ad_rgb",

@@ -25,7 +25,7 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
              views: options.ViewList = None,
              resolution: Annotated[int | None, arg(
                  help="Side of the photos. Default: that of the maps.")] = None,
-             renderer: RendererName = "mitsuba", transfer: options.TransferOption = "auto",
+             renderer: RendererName = "mitsuba", transfer: options.FittedTransfer = "auto",
              falloff: Annotated[options.FalloffOption, arg(
                  help="Falloff of light. auto: as in the fit.")] = "auto",
              refine_views: Annotated[bool, arg(
@@ -56,17 +56,17 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
         print_numbers("Map RMSE", found)
     elif capture is not None:
         fit = options.fit_of_maps(maps)
-        transfer = fit.transfer or "auto" if transfer == "auto" else transfer
         chosen = photo_numbers(views)
         photos = options.read_photos(capture, resolution or svbrdf.resolution, None, transfer,
-                             fit.falloff if falloff == "auto" else falloff)
-        shots = placed(photos, fit)
+                                     fit.falloff if falloff == "auto" else falloff)
+        shots = placed(photos, fit, None if transfer == "auto" else transfer)
         for note in shots.notes[len(photos.notes):]:
             say(note)
         shots = shots if chosen is None else shots.pick(chosen)
         found = evaluate_photos(svbrdf, fit, shots, make_renderer(renderer, variant),
                                 Priors() if refine_views else None)
-        labels = {name: fit.label(shots, number) for name, number in zip(shots.names, shots.index)}
+        seen = "" if found["rmse_seen"] is None else " (seen)"
+        labels = {name: name + (" (held out)" if name in found["held_out"] else seen) for name in shots.names}
         _print_errors(found["views"], found, labels)
         if found["fitted_views"]:
             totals = ", ".join(f"{name} {error:.4f}" for name, error in _totals(found["calibrated"]).items())

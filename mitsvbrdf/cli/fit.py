@@ -133,7 +133,7 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
     if resume and not earlier:
         raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
     shots, shown = options.chosen(photos)
-    title = f"fit {shots.source.name if shots.source else ''} · {method_name(config)} · {engine.name}"
+    title = f"fit {shots.name} · {method_name(config)} · {engine.name}"
     with contextlib.ExitStack() as last, results.output_folder(out, overwrite or resume, resume) as folder:
         page = LivePage(folder, out)
         say(f"live page: {page.path}")

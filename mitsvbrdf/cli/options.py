@@ -50,6 +50,8 @@ TransferChoice = Literal["auto", Transfer]
 TransferOption = Annotated[TransferChoice, arg(help=(
     "How photos encode light. auto: as the capture states, else gamma2.2 for calibrated captures and srgb "
     "for plain photos."))]
+FittedTransfer = Annotated[TransferChoice, arg(help=(
+    "Encoding of light in photos. auto: as in a fit of these photos, else as the capture states."))]
 FalloffOption = Literal["auto", "inverse-square", "none"]
 
 

@@ -64,12 +64,13 @@ def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Render
 def evaluate_fit(fit: Fit, capture: Capture) -> dict:
     """Errors of a fit on photos of its capture or on others, as :func:`evaluate_photos` returns them.
 
-    Photos are placed by :func:`~mitsvbrdf.evaluate.placement.placed`, and rendered by the fit's renderer.
-    ConfigError: it had none of ours.
+    Photos are placed by :func:`~mitsvbrdf.evaluate.placement.placed`, and rendered by the fit's renderer in
+    light that falls off as in the fit. ConfigError: it had none of ours.
     """
     engine = fit.engine()
     if engine is None:
         raise ConfigError("a fit of one of our renderers", fit.renderer, "give a renderer")
+    capture = capture.but(views=replace(capture.views, falloff=fit.falloff))
     return evaluate_photos(fit.svbrdf, fit, placed(capture, fit), engine)
 
 
@@ -125,7 +126,7 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
     Args:
         entries: one or more, each with a name of its own.
         map_errors: gives the RMSE of maps against known ones, by map; None where none are known.
-        transfer: how display values encode radiance; None: as each fit took it, else as the capture states.
+        transfer: how display values encode radiance; None: see :func:`placed`.
         priors: measure a third time, with views refined beside frozen maps, which treats all methods alike.
         index: numbers of the N photos to show; None: all. Where views are unknown, all photos help to
             estimate them.
@@ -145,16 +146,14 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_
     methods, pictures = [], []
     for one in entries:
         fit = one.fit
-        shots = all_photos.but(transfer=transfer or fit.transfer or capture.transfer,
-                        views=replace(all_photos.views, falloff=fit.falloff))
-        shots = placed(shots, fit).pick(capture.index)
+        shots = all_photos.but(views=replace(all_photos.views, falloff=fit.falloff))
+        shots = placed(shots, fit, transfer).pick(capture.index)
         svbrdf = one.svbrdf.resized(capture.resolution)
         images = rerender(renderer, svbrdf, fitted_views(fit, shots)[0], shots)[0]
         pictures.append(color.to_display(images, shots.transfer))
         methods.append({"name": one.name, "folder": one.folder, "resolution": one.svbrdf.resolution,
-            "bsdf": one.svbrdf.bsdf,
-            "transfer": shots.transfer, "falloff": fit.falloff, "flash_offset": fit.flash_offset,
-            "map_rmse": None if map_errors is None else dict(map_errors(svbrdf)),
+            "bsdf": one.svbrdf.bsdf, "transfer": shots.transfer, "falloff": fit.falloff,
+            "flash_offset": fit.flash_offset, "map_rmse": map_errors and dict(map_errors(svbrdf)),
             **evaluate_photos(svbrdf, fit, shots, renderer, priors)})
-    return {"capture": capture.source.name if capture.source else None, "photos": list(capture.names),
+    return {"capture": capture.name or None, "photos": list(capture.names),
             "resolution": capture.resolution, "renderer": renderer.name, "methods": methods}, pictures

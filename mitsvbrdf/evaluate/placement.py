@@ -6,6 +6,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from .. import color
 from ..calibrate.estimate import self_calibrated, why_not
 from ..calibrate.readings import Reading
 from ..capture import Capture, read_capture
@@ -18,7 +19,7 @@ from ..render import Renderer
 from ..views import Falloff, Views, nine_view_grid, shift_lights
 
 
-def placed(capture: Capture, fit: Fit) -> Capture:
+def placed(capture: Capture, fit: Fit, transfer: color.Transfer | None = None) -> Capture:
     """A capture that states no views, with views estimated from all of its photos; any other with its own.
 
     Where the fit saw some of these photos, all are moved together until those are, in the mean, where the fit
@@ -29,16 +30,19 @@ def placed(capture: Capture, fit: Fit) -> Capture:
 
     Args:
         capture: all photos, those held out and those it saw.
+        transfer: how display values encode radiance; None: as the fit took it, of other captures as stated.
 
     Raises:
         CaptureError: the fit estimated views, and these photos do not allow it.
     """
-    capture = capture.through(fit.transfer)
-    if fit.of(capture):
+    ours = fit.of(capture)
+    taken = transfer or (fit.transfer if ours else None) or capture.transfer
+    capture = capture.but(transfer=taken).through(fit.transfer)
+    if ours:
         capture = Reading.told(fit.record.get("command", {})).of(capture)
-    if capture.calibrated and fit.light_power_factor != 1 and not fit.estimated and fit.of(capture):
-        return capture.but(views=replace(capture.views,
-                                              intensity=capture.views.intensity * fit.light_power_factor))
+    if capture.calibrated and fit.light_power_factor != 1 and not fit.estimated and ours:
+        lights = capture.views.intensity * fit.light_power_factor
+        return capture.but(views=replace(capture.views, intensity=lights))
     if capture.calibrated or not (fit.estimated or fit.known_views is None):
         return capture
     if fit.estimated and (why := why_not(capture)):
@@ -47,7 +51,7 @@ def placed(capture: Capture, fit: Fit) -> Capture:
     capture, _ = self_calibrated(capture)
     both = [(capture.index.index(number), row) for row, number in enumerate(fit.seen)
             if number in capture.index]
-    if fit.known_views is None or not both or not fit.of(capture):
+    if fit.known_views is None or not both or not ours:
         return capture
     here, there = (views.in_patch_sides().pick(rows)
                    for views, rows in zip((capture.views, fit.views), zip(*both)))

@@ -66,7 +66,7 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
             [] if spreads else [Omitted("deviations", "no Mitsuba")]))],
         "used": [{"what": what, "how": how} for what, how in used(task)
                  if not isinstance(method, SolvedGan) or method.game],
-        "capture": {"name": capture.source.name if capture.source else None, "photos": list(capture.index),
+        "capture": {"name": capture.name or None, "photos": list(capture.index),
                     "resolution": capture.resolution, "transfer": capture.transfer,
                     "calibrated": capture.calibrated, "notes": list(capture.notes)},
         "views": {"size": views.size, "falloff": views.falloff, "camera": views.camera.tolist(),
@@ -77,8 +77,7 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
         "versions": versions(), "machine": machine(), "trace": loop.trace}
     fit = Fit(record, known={"svbrdf": svbrdf, "views": views, "guess": task.guess, "shots": capture,
                              "sample": seen.sample, "deviations": spreads, "config": config, "detail": None,
-                             "deviations_with_look_alikes": alike,
-                             "capture": capture.source.name if capture.source else "", "seen_by": renderer,
+                             "deviations_with_look_alikes": alike, "seen_by": renderer,
                              **({} if seen.images is None else {"rerendered": seen.images})})
     said: tuple[str, ...] = (task.repeats.said(),) if task.repeats else ()
     if isinstance(solver, Hierarchical) and solver.averages_mix():

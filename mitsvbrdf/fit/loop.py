@@ -175,10 +175,9 @@ class Loop:
         method, capture = self.method, self.capture
         svbrdf = method.preview() or self.seen[1]
         return LiveState(
-            svbrdf.detach().resized(min(SIDE, svbrdf.resolution)),
-            capture.source.name if capture.source else "", method_name(method.config), self.renderer.name,
-            capture.resolution, self.iteration, self.seconds, self.progress, stopped, method.latest_is_best,
-            self.trace, [*self._about_photos, *about_steps(self.undone)])
+            svbrdf.detach().resized(min(SIDE, svbrdf.resolution)), capture.name, method_name(method.config),
+            self.renderer.name, capture.resolution, self.iteration, self.seconds, self.progress, stopped,
+            method.latest_is_best, self.trace, [*self._about_photos, *about_steps(self.undone)])
 
     @cached_property
     def _about_photos(self) -> list[str]:

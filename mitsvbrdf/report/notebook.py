@@ -42,7 +42,7 @@ def _(capture: Capture) -> str:
         light = "light the same" if view.camera == view.light else f"light {_point(view.light)}"
         photos.append((f"{name} · camera {_point(view.camera)}, {light}", _uri(photo)))
     height, width = capture.photos.shape[1:3]
-    name = capture.source.name if capture.source else "without a folder"
+    name = capture.name or "without a folder"
     return _html(f"Capture · {name} · {_count(len(capture))}, {width} × {height} px", [("", photos)],
                  [f"transfer {capture.transfer}, falloff {capture.views.falloff}; positions in patch sides",
                   FROM[capture.calibration]], capture.notes)

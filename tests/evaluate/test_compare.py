@@ -21,8 +21,7 @@ from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
-from mitsvbrdf.synth import photograph
-from mitsvbrdf.views import nine_view_grid
+from mitsvbrdf.report.fit_page import keep_photos
 
 SIDE = 32
 
@@ -120,17 +119,13 @@ def test_fitted_views_are_those_of_the_fit_for_the_photos_it_saw(shots):
                                         torch.full((3,), 0.05).double())
 
 
-def test_photos_are_seen_as_each_fit_saw_them():
-    # Photos under light without falloff, in sRGB, which their folder does not say; the bound is that of 8
-    # bits, below.
-    maps, views = make_material("inlay", SIDE), nine_view_grid(distance=1.0).pick([1, 3])
-    photos = photograph(maps, replace(views, falloff="none"), ANALYTIC, transfer="srgb")
-    fits = (Fit().but(falloff=falloff, transfer=transfer) for falloff, transfer in (
-        ("none", "srgb"), ("inverse-square", "srgb"), ("none", "gamma2.2")))
-    record, _ = compare([Entry(name, name, maps, fit) for name, fit in zip("abc", fits)],
-                        replace(photos, views=views, transfer="gamma2.2"), ANALYTIC)
-    theirs, light, code = (method["rerender_rmse"] for method in record["methods"])
-    assert theirs < 0.0013 and light > 0.004 and code > 0.004
+def test_folders_of_one_name_with_other_photos_are_other_captures(shots, tmp_path, monkeypatch):
+    keep_photos(made_fit(tmp_path / "fit", shots[1]), shots[0].pick([0, 1]))
+    write_capture(photos_of(make_material("leather", SIDE), shots[1]), tmp_path / "photos")
+    for folder, ours in ((tmp_path / "photos", False), (shots[0].source, True)):
+        monkeypatch.chdir(folder)
+        for resolution in (SIDE, 13):
+            assert Fit.of_maps(tmp_path / "fit").of(read_capture(".", resolution)) is ours
 
 
 def test_true_maps_with_true_views_leave_the_rounding_of_the_photos(compared):

@@ -9,10 +9,12 @@ from helpers import ANALYTIC, GRID, MITSUBA, photos_of
 from mitsvbrdf.bench.run import fit as bench_fit
 from mitsvbrdf.bench.tasks import RealCapture
 from mitsvbrdf.evaluate.photos import Entry, compare, evaluate_fit
-from mitsvbrdf.fit import HierarchicalConfig
+from mitsvbrdf.fit import Fit, HierarchicalConfig
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.measure import rerender
+from mitsvbrdf.synth import photograph
+from mitsvbrdf.views import nine_view_grid
 
 SIDE = 32
 
@@ -42,3 +44,20 @@ def test_seen_photos_are_measured_with_the_views_of_the_fit():
     # photos of the same numbers from other places are others, though no folder has a name
     others = evaluate_fit(fit, photos_of(material, replace(GRID, light=GRID.light + 0.1)))
     assert others["rmse_seen"] is None and not others["fitted_views"]
+
+
+def test_photos_are_seen_as_each_fit_saw_them():
+    # Photos under light without falloff, in sRGB, which their folder does not say; the bound is that of 8
+    # bits, below.
+    maps, views = make_material("inlay", SIDE), nine_view_grid(distance=1.0).pick([1, 3])
+    photos = photograph(maps, replace(views, falloff="none"), ANALYTIC, transfer="srgb")
+    fits = [Fit().but(falloff=falloff, transfer=transfer, shots=photos, seen=(0, 1))
+            for falloff, transfer in (("none", "srgb"), ("inverse-square", "srgb"), ("none", "gamma2.2"))]
+    others = Fit().but(falloff="none", transfer="srgb")  # of other photos, whose code is not that of these
+    photos = replace(photos, views=views, transfer="gamma2.2")
+    record, _ = compare([Entry(name, name, maps, fit) for name, fit in zip("abcd", (*fits, others))], photos,
+                        ANALYTIC)
+    theirs, light, code, stated = (method["rerender_rmse"] for method in record["methods"])
+    assert theirs < 0.0013 and light > 0.004 and code == stated > 0.004
+    whole = fits[0].but(renderer="analytic", svbrdf=maps, capture=None)
+    assert evaluate_fit(whole, photos)["rerender_rmse"] == theirs
