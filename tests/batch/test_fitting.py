@@ -17,7 +17,8 @@ from mitsvbrdf.batch.asked import take_stock
 from mitsvbrdf.batch.fitting import HELD, fit_capture
 from mitsvbrdf.batch.library import Library
 from mitsvbrdf.batch.results import ResultStore
-from mitsvbrdf.fit import HierarchicalConfig
+from mitsvbrdf.capture import read_capture
+from mitsvbrdf.fit import Fit, HierarchicalConfig
 
 SIDE = 16
 QUICK = HierarchicalConfig(guess="min", iterations=4)
@@ -123,8 +124,9 @@ def test_a_worker_of_another_library_or_version_does_not_fit(worker, changes, mo
 
 def test_pages_change_neither_maps_nor_figures(captures, tmp_path):
     record = replace(asked(captures[0], QUICK, resolution=SIDE, views="0,1,2,3,4,5,6")).record
-    bare, full = (fit_capture(captures[0], tmp_path / str(pages), record | {"pages": pages})
+    bare, full = (fit_capture(captures[0] / "capture.json", tmp_path / str(pages), record | {"pages": pages})
                   for pages in (False, True))
+    assert Fit.load(tmp_path / "True").of(read_capture(captures[0]))  # as its folder, too
     assert maps_of(tmp_path / "False") == maps_of(tmp_path / "True")
     for name in ("error", "burn_in", "warnings", "photos"):
         assert getattr(bare, name) == getattr(full, name), name
