@@ -154,6 +154,7 @@ WRONG = {
     "NaN in photos": lambda: mv.Capture(GREY * torch.nan, GRID),
     "infinite photos": lambda: mv.Capture(GREY * torch.inf, GRID),
     "negative photos": lambda: mv.Capture(GREY - 0.6, GRID),
+    "photos in steps of 8 bits": lambda: mv.Capture(GREY * 255, GRID),
     "photos of 32 bits": lambda: mv.Capture((GREY * 255).int(), GRID),
     "oblong photos": lambda: mv.Capture(GREY[:, :4], GRID),
     "no photos": lambda: mv.Capture(GREY[:0], GRID),

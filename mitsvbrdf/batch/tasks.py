@@ -148,11 +148,10 @@ class RayTasks:
                 self._nodes = ray.nodes()
                 threading.Thread(target=self._look, daemon=True).start()
         except Exception as error:  # Ray raises what it likes
-            raise BackendError(
-                "Ray to start" if here else f"a Ray cluster at {address}",
+            raise BackendError("Ray to start" if here else f"a Ray cluster at {address}",
                 f"{type(error).__name__}: {str(error)[:500]}",
-                "install it again: pip install --force-reinstall ray" if here else
-                "check the address: that of `ray start --head`, seen from this machine") from error
+                "install it again: pip install --force-reinstall ray" if here
+                else "check the address: that of `ray start --head`, seen from this machine") from error
 
     def _start_own(self, folder: Path) -> None:
         """Start a Ray on this machine alone, with as many CPUs as the workers use, whatever there are."""

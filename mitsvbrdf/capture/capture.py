@@ -268,4 +268,7 @@ def _checked(photos: Tensor) -> Tensor:
     if not (least >= 0 and most < float("inf")):  # nor where they are NaN
         raise CaptureError("photos of display values >= 0, finite", f"values from {least:g} to {most:g}",
                            "check how they were read or developed")
+    if most > 1 and (mean := float(photos.mean())) > 2:
+        raise CaptureError("photos of display values, where white is 1", f"a mean of {mean:.3g}",
+                           "divide values of 8 bits by 255")
     return photos.float()

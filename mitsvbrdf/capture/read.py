@@ -131,7 +131,7 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
     power = views.intensity.tolist()
     stated = {"camera_pos": views.camera.tolist(), "light_pos": views.light.tolist(),
               "light_pow": power[0] if all(row == power[0] for row in power) else power}
-    if not capture.calibrated and torch.allclose(views.in_patch_sides().camera,
+    if not capture.calibrated and torch.allclose(views.in_patch_sides().camera.double(),
                                                  default_views(len(capture)).camera):
         stated = {}  # the default geometry, which is no knowledge, and is what is read without these
     files.write_json(folder / "capture.json",

@@ -65,9 +65,8 @@ def deviations(svbrdf: SVBRDF, views: Views, task: FitTask,
         alike = _stated(own, with_look_alikes(mixture, shared, member, len(capture), own.answer.flatten(1).T))
     if step_of(side, FULL) < every.step:
         solver = TexelSolver(svbrdf.bsdf, fixed, own.solver.grey_specular, own.solver.variant)
-        (here, *_), (there, wrong, values) = (
-            _by_curvature(svbrdf, capture.but(views=views), own, solver, texels)
-            for texels in (every, _every(side, FULL)))
+        (here, *_), (there, wrong, values) = (_by_curvature(svbrdf, capture.but(views=views), own, solver,
+            texels) for texels in (every, _every(side, FULL)))
         alone, alike = (_spread(found, here, there) for found in (alone, alike))
     least = (wrong * DETERMINED)[..., None]
     unseen = least.where(values[..., None] > 0, UNKNOWN)
