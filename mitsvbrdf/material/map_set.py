@@ -255,7 +255,7 @@ def read_map(source: Source, name: str, channels: int, code: str, way: str = OVE
     low = float(image.min())
     image = _without_ringing(image, path) if exr else image
     # 8-bit files and ringing can leave a roughness of 0: half a step up is what was rounded away at most
-    mirror = name == "roughness" and (not exr or low < 0)
+    mirror = name == "roughness" and (not exr or low < 0 <= float(image.min()))
     return image.clamp_min(LEAST_ROUGHNESS) if mirror else image
 
 

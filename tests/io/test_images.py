@@ -160,13 +160,13 @@ def test_x_and_y_alone_are_no_environment(tmp_path):
         read_environment(path)
 
 
-@pytest.mark.parametrize("low, high, refused", [(-3e-5, 1.004, False), (-0.01, 1.0, False), (0.2, 1.5, True)])
-def test_ringing_is_cut_with_a_word_and_more_is_refused(low, high, refused, tmp_path):
+@pytest.mark.parametrize("low, high", [(-3e-5, 1.004), (-0.01, 1.0), (0.2, 1.5), (-0.5, 1.0)])
+def test_ringing_is_cut_with_a_word_and_more_is_refused(low, high, tmp_path):
     save_maps(flat(8), tmp_path)
     values = np.full((8, 8), 0.7, np.float32)
     values[0, :2] = low, high
     written(tmp_path / "roughness.exr", {"Y": values})
-    if refused:
+    if max(-low, high - 1) > 0.05:
         with pytest.raises(MapsError, match="its encoding"):
             load_maps(tmp_path)
         return
