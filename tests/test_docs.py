@@ -18,10 +18,9 @@ from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.render.exclusive import using_mitsuba
 
-SHORTER = [(r"--budget \d+", "--iterations 3"), (r"resolution=\d+", "resolution=32"),
-           (r"--megapixels \d+", "--megapixels 0.7"),
-           (r"\(seed=0\)", "(seed=0, iterations=3)"),
-           (r"(make_material\(\S+,) \d+", r"\1 32"), (r"error<\S+\b", "error<1")]
+SHORTER = [(r"--budget \d+", "--iterations 3"), (r"resolution=\d+", "resolution=32"), (r"--megapixels \d+",
+           "--megapixels 0.7"), (r"\(seed=0\)", "(seed=0, iterations=3)"), (r"(make_material\(\S+,) \d+",
+           r"\1 32"), (r"error<\S+\b", "error<1")]
 QUICK = {"crosscheck": ["--repeats", "1", "--bsdf", "roughconductor", "--resolution", "32"],
          "capture": ["--resolution", "64"], "report": ["--quick"], "stability": ["--only", "clipped",
          "--renderer", "analytic"], "relight": ["--size", "24", "--frames", "1", "--samples", "2"],

@@ -157,7 +157,10 @@ def _read(found: MapSet, bsdf: Bsdf, f0: str = "") -> SVBRDF:
     _say(found, {name: there[name] for name in channels}, maps)
     if not f0:
         return SVBRDF(bsdf, maps)
-    dielectric = maps.pop(f0).clamp(0, 1)
+    dielectric, most = maps.pop(f0), FULL_LEVEL if found.place.is_dir() else torch.inf  # documents cut it
+    if dielectric.min() < 0 or dielectric.max() > most:
+        raise MapsError("a specular level in [0, 1]", str(there[f0].path or "numbers"), "check its encoding")
+    dielectric = dielectric.clamp_max(1)
     taken = dielectric.amax(dim=-1, keepdim=True) if found.taken is None else torch.tensor(found.taken)
     return as_shown(SVBRDF(bsdf, maps), dielectric, taken)
 

@@ -48,10 +48,9 @@ def quality_record(result: CaptureResult) -> dict:
         pose = result.rig.poses.get(name) if known else None
         numbers = {key: value for key, value in vars(quality).items() if key != "name"} if quality else {}
         rows.append({"name": name, "used": name in number, "number": number.get(name),
-                     "reason": result.rig.rejected.get(name),
-                     "tags": result.rig.tags.get(name),
-                     "reprojection_error": result.rig.errors.get(name), "exif": photo.exif,
-                     "camera": None if pose is None else np.asarray(pose.position).tolist(), **numbers})
+                     "reason": result.rig.rejected.get(name), "tags": result.rig.tags.get(name),
+                     "reprojection_error": result.rig.errors.get(name), "exif": photo.exif, "camera": None
+                     if pose is None else np.asarray(pose.position).tolist(), **numbers})
     next_view, shading = result.next_view, result.shading
     return {
         "schema_version": SCHEMA_VERSION, "photos": rows, "used": len(result.used),

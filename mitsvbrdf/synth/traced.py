@@ -104,9 +104,8 @@ class HandheldRenderer:
 def _shapes(mi: ModuleType, svbrdf: SVBRDF, side: float, sheet: Sheet | None, depth: float) -> dict[str, Any]:
     """All that is seen, by name."""
     grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": TABLE_ALBEDO}}
-    shapes = {"sample": _square(mi, side, 0.0, _material(mi, svbrdf)),
-              "table": _square(mi, max(TABLE, 4 * side), -BELOW, grey)} | (
-                  _paper(mi, sheet, depth) if sheet else {})
+    shapes = {"sample": _square(mi, side, 0.0, _material(mi, svbrdf)), "table": _square(mi,
+              max(TABLE, 4 * side), -BELOW, grey)} | (_paper(mi, sheet, depth) if sheet else {})
     return {name: mi.load_dict(shape) for name, shape in shapes.items()}
 
 

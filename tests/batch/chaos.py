@@ -57,8 +57,7 @@ def make_captures(folder: Path, count: int, side: int) -> None:
 def command(captures: Path, library: Path, side: int, workers: int) -> list[str]:
     """The batch that is disturbed."""
     return [sys.executable, "-m", "mitsvbrdf", "batch", str(captures), "-o", str(library), "--resolution",
-            str(side),
-            "--workers", str(workers), *QUICKEST]
+            str(side), "--workers", str(workers), *QUICKEST]
 
 
 def below(root: int, *parts: str) -> list[int]:

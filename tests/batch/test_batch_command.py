@@ -39,8 +39,7 @@ def shots(made, tmp_path, monkeypatch):
 def run(*words, library="library", script=("-m", "mitsvbrdf")):
     """Exit code and lines of a batch."""
     ran = subprocess.run([sys.executable, *script, "batch", *map(str, words), "-o", library, "--workers", "2",
-                          *QUICK],
-                         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+                          *QUICK], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     return ran.returncode, ran.stdout.splitlines()
 
 

@@ -145,11 +145,10 @@ def of_one_picture(value, count=9):
 TEXTURE = torch.rand(16, 16, 3, generator=torch.Generator().manual_seed(0))
 LIKE_IT = of_one_picture(TEXTURE)
 NOTHING = {"black": (of_one_picture(0.0), "dark"), "white": (of_one_picture(1.0), "alike"),
-           "one picture": (LIKE_IT, "alike"),
-           "two": (of_one_picture(TEXTURE, 2), "3 photos"), "one": (of_one_picture(TEXTURE, 1), "3 photos"),
+           "one picture": (LIKE_IT, "alike"), "two": (of_one_picture(TEXTURE, 2), "3 photos"),
+           "one": (of_one_picture(TEXTURE, 1), "3 photos"),
            "one black": (replace(LIKE_IT, photos=LIKE_IT.photos * (torch.arange(9) > 0).reshape(9, 1, 1, 1)),
-                         "dark"),
-           "paper's light": (replace(LIKE_IT, views=replace(DEFAULT, falloff="none")), "falloff")}
+           "dark"), "paper's light": (replace(LIKE_IT, views=replace(DEFAULT, falloff="none")), "falloff")}
 
 
 @pytest.mark.parametrize("case", NOTHING)

@@ -224,11 +224,10 @@ def test_resume_refuses_another_fit(capture, tmp_path):
     fit_svbrdf(capture, renderer, DirectConfig(iterations=2), checkpoint=path)
     darker = capture.photos.clone()
     darker[3] *= 0.5
-    others = [(photos_of(make_material("tiles", 32)), {}, "photo 00, .* 5 more"),
-              (capture.pick([0, 1]), {}, "photo 02"), (dataclasses.replace(capture, photos=darker), {},
-                                                       "photo 03"),
-              (dataclasses.replace(capture, transfer="srgb"), {}, "--transfer"),
-              (capture, {"seed": 1}, "--seed"), (capture, {"smooth": 0.5}, "--smooth")]
+    others = [(photos_of(make_material("tiles", 32)), {}, "photo 00, .* 5 more"), (capture.pick([0, 1]), {},
+              "photo 02"), (dataclasses.replace(capture, photos=darker), {}, "photo 03"),
+              (dataclasses.replace(capture, transfer="srgb"), {}, "--transfer"), (capture, {"seed": 1},
+              "--seed"), (capture, {"smooth": 0.5}, "--smooth")]
     for shots, change, named in others:
         with pytest.raises(ConfigError, match=f"made with: {named}"):
             fit_svbrdf(shots, renderer, DirectConfig(iterations=4, **change), resume=path)

@@ -97,9 +97,8 @@ def photos() -> Drawn[Case]:
 
 def maps() -> Drawn[Case]:
     """Folders of maps, and maps held fixed."""
-    ways = st.one_of(pictures("in/exr", "in/exr/roughness.exr", "in/maps", "in/capture"),
-                     pictures("in/maps", "in/maps/normal.png", "in/exr", "in/capture"),
-                     stated("in/maps/material.json"))
+    ways = st.one_of(pictures("in/exr", "in/exr/roughness.exr", "in/maps", "in/capture"), pictures("in/maps",
+                     "in/maps/normal.png", "in/exr", "in/capture"), stated("in/maps/material.json"))
     return cases("maps", "maps exr capture", ways, "evaluate ../in/exr --reference ../in/maps",
                  "evaluate ../in/maps --reference ../in/exr", "render ../in/exr -o out --renderer analytic",
                  "render ../in/maps -o out --renderer analytic", "export ../in/maps -o out --to maps "
@@ -268,11 +267,10 @@ def options(known: dict[str, tuple[str, ...]]) -> Drawn[Case]:
     return st.sampled_from(CALLS).flatmap(of)
 
 
-GROUPS: dict[str, tuple[int, Callable[..., Drawn[Case]]]] = {
-    "capture": (500, captures), "text": (250, texts), "photos": (500, photos), "maps": (350, maps),
-    "checkpoint": (250, checkpoints), "fit": (400, fits), "folder": (300, folders), "list": (200, lists),
-    "library": (300, libraries), "document": (250, documents), "bench": (150, records),
-    "relight": (120, relights), "option": (700, options)}
+GROUPS: dict[str, tuple[int, Callable[..., Drawn[Case]]]] = {"capture": (500, captures), "text": (250, texts),
+    "photos": (500, photos), "maps": (350, maps), "checkpoint": (250, checkpoints), "fit": (400, fits),
+    "folder": (300, folders), "list": (200, lists), "library": (300, libraries), "document": (250, documents),
+    "bench": (150, records), "relight": (120, relights), "option": (700, options)}
 
 
 def drawn(strategy: Drawn[Case], count: int, number: int = 0) -> list[Case]:

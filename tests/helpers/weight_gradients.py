@@ -13,8 +13,7 @@ from mitsvbrdf.render import make_renderer
 # steps; at the start the last layers are zero, and no weight below them has a gradient
 AFTER = (3, 4, 5, 6, 7)
 # The traced scene has no gradient to the light, and a fitted flash offset changes the loss: none fits it.
-METHODS = {
-    "gan": lambda **given: GanConfig(grow=False, flash_offset=False, **given),
+METHODS = {"gan": lambda **given: GanConfig(grow=False, flash_offset=False, **given),
     "hybrid": lambda **given: HybridConfig(flash_offset=False, **given)}
 FAULTS = {
     "roughness squared twice": lambda svbrdf, views: (

@@ -10,7 +10,7 @@ from helpers.colour_files import SRGB
 from helpers.map_files import UP, written
 from PIL import Image
 
-from mitsvbrdf.errors import AssumedWarning
+from mitsvbrdf.errors import AssumedWarning, MapsError
 from mitsvbrdf.evaluate import evaluate_maps
 from mitsvbrdf.io.images import write_exr
 from mitsvbrdf.material.map_files import load_maps
@@ -37,6 +37,15 @@ def test_the_roughness_of_an_exr_is_measured_as_stored(tmp_path):
     for name, value in flat(8, roughness=0.25).maps.items():
         write_exr(tmp_path / f"{name}.exr", value)
     assert evaluate_maps(flat(8, roughness=0.5), tmp_path)["roughness"] == pytest.approx(0.25)
+
+
+@pytest.mark.parametrize("level", [-0.5, 255.0])
+def test_a_specular_level_out_of_range_is_refused(level, tmp_path):
+    levels = {"specular_level": torch.full((8, 8, 1), level)}
+    for name, value in (dict(flat(8, "principled").maps) | levels).items():
+        write_exr(tmp_path / f"{name}.exr", value)
+    with pytest.warns(AssumedWarning), pytest.raises(MapsError, match="specular_level.exr"):
+        load_maps(tmp_path)
 
 
 def test_an_encoding_asked_of_an_exr_is_said_not_to_count(tmp_path):
