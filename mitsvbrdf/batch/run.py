@@ -89,9 +89,10 @@ class Batch:
             material = self.waiting.popleft()
             material = material.but(attempts=material.attempts + 1)
             name = f"{material.folder}-{self.name}-{material.attempts}"
-            tasks.start(name, {"library": self.library.results.address, "token": self.token,
-                "version": __version__, "material": msgspec.to_builtins(material), "attempt": name,
-                "threads": self.settings.threads, "memory": self.memory})
+            tasks.start(name, {
+                "library": self.library.results.address, "token": self.token, "version": __version__,
+                "material": msgspec.to_builtins(material), "attempt": name, "threads": self.settings.threads,
+                "memory": self.memory})
             self.running[name] = material
             self.library.running.add(material.folder)
 

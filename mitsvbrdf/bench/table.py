@@ -47,8 +47,9 @@ def summary(records: Iterable[Mapping[str, Any]], error: str) -> pd.DataFrame:
         [{"method": r["method"], "budget": r["budget"], "seed": r["seed"], "error": r["errors"].get(error),
           "seconds": r["seconds"], "wall": r["wall"], "ended": r["stopped"] in BY_ITSELF} for r in records],
     ).dropna(subset=["error"])
-    by_seed = rows.groupby(["method", "budget", "seed"], sort=False).agg(error=("error", "mean"),
-        tasks=("error", "size"), seconds=("seconds", "mean"), wall=("wall", "mean"), ended=("ended", "all"))
+    by_seed = rows.groupby(["method", "budget", "seed"], sort=False).agg(
+        error=("error", "mean"), tasks=("error", "size"), seconds=("seconds", "mean"), wall=("wall", "mean"),
+        ended=("ended", "all"))
     found = by_seed[by_seed["tasks"] == tasks].groupby(["method", "budget"], sort=False).agg(
         median=("error", "median"), low=("error", lambda e: e.quantile(0.25)),
         high=("error", lambda e: e.quantile(0.75)), seeds=("error", "size"), seconds=("seconds", "median"),

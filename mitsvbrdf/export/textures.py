@@ -111,6 +111,7 @@ class Export:
 
     def write(self, folder: Path, **about: object) -> None:
         """Write ``export.json`` into the folder."""
-        files.write_json(folder / "export.json", {"schema_version": 2, "mitsvbrdf": __version__, **about,
-            "files": list(self.files), "textures": [asdict(texture) for texture in self.textures],
+        files.write_json(folder / "export.json", {
+            "schema_version": 2, "mitsvbrdf": __version__, **about, "files": list(self.files),
+            "textures": [asdict(texture) for texture in self.textures],
             "row_0": "top of the patch", "notes": list(self.notes), "conversion_rmse": self.conversion or {}})

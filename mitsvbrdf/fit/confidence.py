@@ -62,11 +62,13 @@ def deviations(svbrdf: SVBRDF, views: Views, task: FitTask,
     alone, alike, wrong, values = _stated(own, mixture), Deviations(), own.refused, own.values
     if basis is not None and len(shared):
         member = membership(appearance_of(sampled, some(task.guess)), basis, task.config.similarity)
-        alike = _stated(own, with_look_alikes(mixture, shared, member, len(capture), own.answer.flatten(1).T))
+        alike = _stated(own, with_look_alikes(mixture, shared, member, len(capture),
+                                              own.answer.flatten(1).T))
     if step_of(side, FULL) < every.step:
         solver = TexelSolver(svbrdf.bsdf, fixed, own.solver.grey_specular, own.solver.variant)
-        (here, *_), (there, wrong, values) = (_by_curvature(svbrdf, capture.but(views=views), own, solver,
-            texels) for texels in (every, _every(side, FULL)))
+        (here, *_), (there, wrong, values) = (
+            _by_curvature(svbrdf, capture.but(views=views), own, solver, texels)
+            for texels in (every, _every(side, FULL)))
         alone, alike = (_spread(found, here, there) for found in (alone, alike))
     least = (wrong * DETERMINED)[..., None]
     unseen = least.where(values[..., None] > 0, UNKNOWN)

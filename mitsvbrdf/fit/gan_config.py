@@ -17,16 +17,18 @@ GeneratorKind = Literal["all-photos", "two-stream"]
 Start = Literal["solved", "guess", "untrained"]
 
 # The paper's method (III.C to III.F); it prints no weight of the diffuse loss.
-_PAPER: dict[str, Any] = {"guess": "min", "grey_specular": True, "generator": "two-stream",
-    "start": "untrained", "width": 64, "learning_rate": 2e-5, "head_start": 0.0, "decay": False,
-    "normal_roughness_steps": 5, "pictures": 1, "discriminator_rate": 2e-5, "game": "bce", "level": False,
-    "angles": False, "paired": False, "clipping": False, "grow": False, "adversarial": 1.0, "features": 0.0,
-    "diffuse": 10.0, "smooth": 0.0, "flash_offset": False}
-_MINUTES: dict[str, Any] = {"guess": "robust", "grey_specular": False, "generator": "all-photos",
-    "start": None, "width": 16, "learning_rate": 2e-3, "head_start": 0.1, "decay": True,
-    "normal_roughness_steps": 1, "pictures": 6, "discriminator_rate": 1e-3, "game": "relativistic",
-    "level": True, "angles": True, "paired": True, "clipping": True, "grow": True, "adversarial": 1.0,
-    "features": 10.0, "diffuse": 5.0, "smooth": 1.0, "flash_offset": True}
+_PAPER: dict[str, Any] = {
+    "guess": "min", "grey_specular": True, "generator": "two-stream", "start": "untrained", "width": 64,
+    "learning_rate": 2e-5, "head_start": 0.0, "decay": False, "normal_roughness_steps": 5,
+    "pictures": 1, "discriminator_rate": 2e-5, "game": "bce", "level": False, "angles": False,
+    "paired": False, "clipping": False, "grow": False, "adversarial": 1.0, "features": 0.0, "diffuse": 10.0,
+    "smooth": 0.0, "flash_offset": False}
+_MINUTES: dict[str, Any] = {
+    "guess": "robust", "grey_specular": False, "generator": "all-photos", "start": None, "width": 16,
+    "learning_rate": 2e-3, "head_start": 0.1, "decay": True, "normal_roughness_steps": 1,
+    "pictures": 6, "discriminator_rate": 1e-3, "game": "relativistic", "level": True, "angles": True,
+    "paired": True, "clipping": True, "grow": True, "adversarial": 1.0, "features": 10.0, "diffuse": 5.0,
+    "smooth": 1.0, "flash_offset": True}
 PRESETS: dict[str, dict[str, Any]] = {
     "minutes": _MINUTES, "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
 # What a game from solved maps looks at; the other settings are those of the game from the guess.

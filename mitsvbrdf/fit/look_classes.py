@@ -101,8 +101,9 @@ class LookClasses:
     def start(looks: Tensor, roughness: float, f0: float, relief: Sequence[float]) -> Tensor:
         """Numbers of classes of these diffuse colours (linear^(1/2.2), K x 3), all with one lobe."""
         level, width = f0 ** (1 / 2.2), (roughness - 0.05) / 0.95
-        return torch.from_numpy(PARTS.pack(diffuse=torch.logit(looks.clamp(0.02, 0.97)).numpy(),
-            specular=math.log(level / (1 - level)), roughness=math.log(width / (1 - width)),
+        return torch.from_numpy(PARTS.pack(
+            diffuse=torch.logit(looks.clamp(0.02, 0.97)).numpy(), specular=math.log(level / (1 - level)),
+            roughness=math.log(width / (1 - width)),
             relief=np.log(relief), **{name: math.log(value) for name, value in BEGUN.items()})).float()
 
     def lit(self, at: Tensor) -> tuple[Tensor, Tensor]:

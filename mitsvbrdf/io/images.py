@@ -251,5 +251,6 @@ def encode_png(image: Tensor, bits: int = 8, shown: Callable[[Tensor], Tensor] =
 
 def linear_writes(stem: Path, image: Tensor, transfer: color.Transfer) -> list[Callable[[], None]]:
     """To write an image as ``stem.exr`` (linear, float32) and ``stem.png`` (display values, 8-bit)."""
-    return [partial(write_exr, stem.with_suffix(".exr"), image), partial(write_png, stem.with_suffix(".png"),
-            image, shown=partial(color.to_display, transfer=transfer))]
+    return [partial(write_exr, stem.with_suffix(".exr"), image),
+            partial(write_png, stem.with_suffix(".png"), image,
+                    shown=partial(color.to_display, transfer=transfer))]

@@ -34,7 +34,8 @@ def painted(paint: Paint) -> dict[str, Tensor]:
     slope = torch.stack((right, -down), dim=-1)
     slope = slope * (STEEPEST / slope.norm(dim=-1, keepdim=True).clamp_min(STEEPEST))
     specular = paint.specular.clamp(0.02, 0.95)
-    return {"diffuse": torch.minimum(paint.diffuse.clamp(0, 0.95), 1 - specular), "specular": specular,
+    return {
+        "diffuse": torch.minimum(paint.diffuse.clamp(0, 0.95), 1 - specular), "specular": specular,
         "roughness": paint.roughness.clamp(0.08, 1),
         "normal": F.normalize(torch.cat((-slope, torch.ones_like(slope[..., :1])), dim=-1), dim=-1)}
 

@@ -48,9 +48,10 @@ def quality_record(result: CaptureResult) -> dict:
         pose = result.rig.poses.get(name) if known else None
         numbers = {key: value for key, value in vars(quality).items() if key != "name"} if quality else {}
         rows.append({"name": name, "used": name in number, "number": number.get(name),
-                     "reason": result.rig.rejected.get(name), "tags": result.rig.tags.get(name),
-                     "reprojection_error": result.rig.errors.get(name), "exif": photo.exif, "camera": None
-                     if pose is None else np.asarray(pose.position).tolist(), **numbers})
+                     "reason": result.rig.rejected.get(name),
+                     "tags": result.rig.tags.get(name),
+                     "reprojection_error": result.rig.errors.get(name), "exif": photo.exif,
+                     "camera": None if pose is None else np.asarray(pose.position).tolist(), **numbers})
     next_view, shading = result.next_view, result.shading
     return {
         "schema_version": SCHEMA_VERSION, "photos": rows, "used": len(result.used),
@@ -91,4 +92,5 @@ def _plan(result: CaptureResult) -> dict:
     # a number stands below its dot where another dot is in its way
     cameras = [(name, x, y, y + (0.075 if any(abs(x - u) < 0.06 and 0 < y - v < 0.1 for _, u, v in dots)
                                  else -0.035)) for name, x, y in dots]
-    return {"half": half, "cameras": cameras, "stand": next_place and (next_place[0], -next_place[1])}
+    return {"half": half, "cameras": cameras,
+            "stand": next_place and (next_place[0], -next_place[1])}

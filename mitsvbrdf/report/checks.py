@@ -41,8 +41,9 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
         {"fit": svbrdf.resized(side)}, shown, [svbrdf.bsdf], engines, 1 if quick else 5,
         names=[names[k] for k in chosen], transfer=transfer,
         report=lambda text, share: report("renderers against float64", share))
-    return {"schema_version": SCHEMA_VERSION, "quick": quick, "maps": maps, "crosscheck": checked
-            and _figures(checked, timed=not quick), "machine": machine(), "versions": versions()}
+    return {"schema_version": SCHEMA_VERSION, "quick": quick, "maps": maps,
+            "crosscheck": checked and _figures(checked, timed=not quick),
+            "machine": machine(), "versions": versions()}
 
 
 def _available(name: str, beside: Renderer | None) -> list[Renderer]:

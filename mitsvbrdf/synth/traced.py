@@ -104,8 +104,9 @@ class HandheldRenderer:
 def _shapes(mi: ModuleType, svbrdf: SVBRDF, side: float, sheet: Sheet | None, depth: float) -> dict[str, Any]:
     """All that is seen, by name."""
     grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": TABLE_ALBEDO}}
-    shapes = {"sample": _square(mi, side, 0.0, _material(mi, svbrdf)), "table": _square(mi,
-              max(TABLE, 4 * side), -BELOW, grey)} | (_paper(mi, sheet, depth) if sheet else {})
+    shapes = {"sample": _square(mi, side, 0.0, _material(mi, svbrdf)),
+              "table": _square(mi, max(TABLE, 4 * side), -BELOW, grey)} | (
+                  _paper(mi, sheet, depth) if sheet else {})
     return {name: mi.load_dict(shape) for name, shape in shapes.items()}
 
 
@@ -139,7 +140,8 @@ def _paper(mi: ModuleType, sheet: Sheet, depth: float) -> dict:
                                              "right": (n - edge, edge, n, n - edge)}.items():
         x, y = (np.array([left + right, -top - bottom]) / n + (-1, 1)) * sheet.outer / 2
         across, up = (np.array([right - left, bottom - top]) / n) * sheet.outer / 2
-        shapes[f"paper_{name}"] = {"type": "rectangle",
+        shapes[f"paper_{name}"] = {
+            "type": "rectangle",
             "to_world": mi.ScalarTransform4f().translate([x, y, depth]).scale([across, up, 1]),
             "bsdf": {"type": "diffuse", "reflectance": _texture(mi, albedo[top:bottom, left:right])}}
     return shapes

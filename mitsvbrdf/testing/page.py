@@ -47,8 +47,9 @@ def failure(title: str, figures: Sequence[Figure], rows: Sequence[Row], notes: S
     """The error to raise, naming figures beyond their limits, with the page of all figures written."""
     lines = [title, *(f"  {f.name}: {f.value:.3g}, limit {f.limit:.3g}" for f in figures if f.missed),
              *(f"  {note}" for note in notes)]
-    page = left_behind(suffix, lambda path: write_page(path, "report/comparison.html", title=title,
-        test=running.now.test, figures=figures, rows=rows, notes=notes))
+    page = left_behind(suffix, lambda path: write_page(
+        path, "report/comparison.html", title=title, test=running.now.test, figures=figures, rows=rows,
+        notes=notes))
     return AssertionError("\n".join([*lines, f"  page: {page}"]))
 
 

@@ -236,8 +236,9 @@ def _exceeded(configuration: dict) -> list[dict]:
     places = {"the image": [each["image"] for each in classes]} | {
         f"the gradient of {name}": [each["gradients"][name] for each in classes]
         for name in classes[0]["gradients"]}
-    found: list[tuple[str, Any, float, float | None]] = [(f"values that are not finite in {place}",
-        sum(each["not_finite"] for each in parts), 0, None) for place, parts in places.items()]
+    found: list[tuple[str, Any, float, float | None]] = [
+        (f"values that are not finite in {place}", sum(each["not_finite"] for each in parts), 0, None)
+        for place, parts in places.items()]
     for name, tolerance in TOLERANCES["image"].items() if rough else ():
         found.append((f"{name} relative image error", rough["image"][name], tolerance,
                       rough["limit"]["image"][name]))

@@ -66,9 +66,10 @@ def with_detail(result: Fit, capture: Capture, renderer: Renderer, config: Detai
                 return result
     with torch.no_grad():
         share, detail, (_, total, each) = training.weakened(config.worst * result.rerender_rmse)
-    return result.but(detail=detail, detail_record={"what": WHAT, "config": asdict(config),
-        "steps": config.steps, "share": share, "seconds": round(time.perf_counter() - began, 3),
-        "rerender_rmse": total, "per_photo": dict(zip(capture.names, each))})
+    return result.but(detail=detail, detail_record={
+        "what": WHAT, "config": asdict(config), "steps": config.steps, "share": share,
+        "seconds": round(time.perf_counter() - began, 3), "rerender_rmse": total,
+        "per_photo": dict(zip(capture.names, each))})
 
 
 def why_not(result: Fit) -> str | None:

@@ -198,8 +198,9 @@ class Texels:
         shown = traced_encode(kernel.shader.eval(*directions) * irradiance, kernel.transfer)
         if "curve" in self.problem:
             shown = color.Curve(*self.problem["curve"]).bent(shown, traced())
-        seeds = [[(free[name], 1)] if name in free else [(d, turned(dr.detach(d), *self.turns[axis]))
-                 for d in directions] for name, axis, _ in kernel.columns]
+        seeds = [[(free[name], 1)] if name in free else
+                 [(d, turned(dr.detach(d), *self.turns[axis])) for d in directions]
+                 for name, axis, _ in kernel.columns]
         return shown, lit, seeds
 
     def _weighed(self, shown: Any, view: Any) -> tuple:
