@@ -27,4 +27,4 @@ def capture():
 
 @pytest.fixture(scope="module")
 def tiles():
-    return photos_of(make_material("tiles", 12))
+    return photos_of(make_material("tiles", 8))
