@@ -13,8 +13,8 @@ def plot(groups: Sequence[Judged]) -> Figure:
     """A panel for each group: median error against median seconds of the loop, quartiles shaded."""
     figure = Figure(figsize=(4.6 * len(groups), 3.6), layout="constrained")
     for axes, group in zip(figure.subplots(1, len(groups), squeeze=False)[0], groups):
-        found = summary(group.records, group.error)
-        for method, points in found.groupby(level="method", sort=False):
+        for method, each in summary(group.records, group.error).groupby(level="method", sort=False):
+            points = each.sort_values("seconds")
             line, = axes.plot(points["seconds"], points["median"], marker="o", markersize=4, label=method)
             axes.fill_between(points["seconds"], points["low"], points["high"], color=line.get_color(),
                               alpha=0.2)
