@@ -45,20 +45,6 @@ def data_folder() -> Path:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def one_thread_a_worker() -> None:
-    """Workers share the cores: a call of Dr.Jit that waits for a second thread, which has no core, takes ten
-    times as long.
-    """
-    if "PYTEST_XDIST_WORKER" in os.environ:
-        from mitsvbrdf.render.exclusive import using_mitsuba
-
-        with using_mitsuba():
-            import drjit
-
-            drjit.set_thread_count(1)
-
-
-@pytest.fixture(scope="session", autouse=True)
 def coarse_spheres() -> None:
     """The sphere of each page and each export is drawn with one ray a pixel instead of 64, a second of work
     less.

@@ -147,6 +147,7 @@ def test_noise_that_is_known():
     assert found[-1] > 1.5 * found[0]
 
 
+@pytest.mark.slow
 def test_a_metal_comes_back():
     truth = make_material("inlay", 64)
     found = fit_svbrdf(photos_of(truth, noise=0.003), MITSUBA).svbrdf

@@ -91,7 +91,7 @@ TOGETHER = {
                                                                  "views, sharp": "phone",
     "principled, fix base_color, trend, alike": "phone",
     "fix diffuse, fix specular, own 0": "phone, two sizes",
-    "fix roughness, fix normal, grey": "exact", "principled, fix metallic": "exact",
+    "fix roughness, fix normal, grey": "exact", "principled, fix metallic": "phone",
     "diffuse only": "exact, two sizes",
     "normal only": "phone, two sizes", "roughness only": "phone", "matt": "phone, two sizes"}
 

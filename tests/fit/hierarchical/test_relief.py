@@ -61,6 +61,7 @@ def plates():
     return method, [each for each in noise if each.isfinite().all()], truth
 
 
+@pytest.mark.slow
 def test_flat_plates_with_steep_edges_come_back(plates):
     method, _, truth = plates
     off = map_rmse(method.estimate()[0], truth)
@@ -68,6 +69,7 @@ def test_flat_plates_with_steep_edges_come_back(plates):
     assert off["roughness"] < 0.085 and off["normal"] < 0.015, off
 
 
+@pytest.mark.slow
 def test_noise_comes_down_to_what_it_is(plates):
     _, noise, _ = plates
     true = NOISE * noise[-1][0] ** -1.2 / 2.2  # of display values, radiance^(1/2.2)
@@ -76,6 +78,7 @@ def test_noise_comes_down_to_what_it_is(plates):
     assert bool((first > 1.5).all()) and bool(((last > 0.5) & (last < 1.5)).all()), (first, last)
 
 
+@pytest.mark.slow
 def test_the_least_noise_counts_in_the_last_steps(plates):
     method, noise, _ = plates
     least = torch.stack([each[1] for each in noise]).amin(dim=0)

@@ -107,7 +107,7 @@ def test_resuming_is_bit_equal_at_every_round(kind, two_stages, capture, tmp_pat
     loop.method.step = saving_step
     loop.run()
     assert set(passed) == {Stage.ALONE, Stage.MULTI_START if kind == "exact" else Stage.TOGETHER, Stage.FINE}
-    for at in range(1, len(passed)) if kind == "phone" else (2, 3, 4, 7):
+    for at in range(1, len(passed)) if kind == "phone" else (3, 7):
         resumed = fit_svbrdf(capture, MITSUBA, config, resume=tmp_path / f"{at}.safetensors")
         for name, value in whole.svbrdf.maps.items():
             assert torch.equal(value, resumed.svbrdf[name]), (at, name)

@@ -160,10 +160,10 @@ def test_tiles_are_written_once_none_starts_from_them(monkeypatch):
 def test_photos_as_stored_give_the_same_fit(exact, monkeypatch):
     """In one tile of floats, and in tiles of photos that are kept in 8 bits."""
     monkeypatch.setattr(stages, "EXACT", 1.0 if exact else 0.0)
-    monkeypatch.setattr(scales, "COARSE", 4)
-    shots, ends = photos_of(make_material("inlay", 8)), []
+    monkeypatch.setattr(scales, "COARSE", 8)
+    shots, ends = photos_of(make_material("inlay", 16)), []
     stored = (shots.photos * 255).round().byte()
-    for photos, tile in ((stored.float() / 255, 8 * 8), (stored, 3 * 8)):
+    for photos, tile in ((stored.float() / 255, 16 * 16), (stored, 5 * 16)):
         for module in (kernel, texels):
             monkeypatch.setattr(module, "TILE", tile)
         ends.append(fit_svbrdf(replace(shots, photos=photos), MITSUBA, HierarchicalConfig(budget=1e4)))
