@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 import torch
-from helpers import GRID, photos_of
+from helpers import GRID, ROOT, photos_of
 
 from mitsvbrdf.calibrate.readings import Reading, doubts
 from mitsvbrdf.capture import Capture, read_capture
@@ -81,13 +81,13 @@ def test_where_photos_tell_too_little_nothing_is_said(made):
     ("up-left", lambda x, y: (y, -x))])
 def test_the_option_gives_the_views_meant_and_evaluation_follows_it(axes, turn):
     meant = photos_of(make_material("inlay", 16))
-    wrong = stated(meant, turn, side=0.01, light=1e4)
+    wrong = replace(stated(meant, turn, side=0.01, light=1e4), source=ROOT)
     options = FitOptions(axes=axes, side=1.0, light_factor=1e-4)
     read = options.chosen(wrong)[0].views
     assert torch.equal(read.camera, meant.views.camera) and torch.equal(read.light, meant.views.light)
     assert torch.allclose(read.intensity, meant.views.intensity, rtol=1e-12) and read.size == meant.views.size
-    fit = Fit({"command": options.record(wrong), "capture": {"name": "", "transfer": wrong.transfer},
-               "views": {}})
+    kept = {"name": ROOT.name, "transfer": wrong.transfer, "photos": []}
+    fit = Fit({"command": options.record(wrong), "capture": kept, "views": {}})
     assert torch.equal(placed(wrong, fit).views.camera, meant.views.camera)
 
 
