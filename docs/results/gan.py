@@ -236,7 +236,7 @@ looks.
 {as_markdown(captures(record))}
 
 Median of 18 captures; photos 4 and 7 are held out. From solved maps (200 steps, one seed) the game's change \
-was kept in {len(changed)}.
+was kept in {len(changed)}; photos seen are rendered with the stated views there, else with those of the fit.
 
 ## The paper's tables and its schedule
 
