@@ -37,7 +37,7 @@ def placed(capture: Capture, fit: Fit, transfer: color.Transfer | None = None) -
     """
     ours = fit.of(capture)
     taken = transfer or (fit.transfer if ours else None) or capture.transfer
-    capture = capture.but(transfer=taken).through(fit.transfer)
+    capture = (capture if taken == capture.transfer else capture.but(transfer=taken)).through(fit.transfer)
     if ours:
         capture = Reading.told(fit.record.get("command", {})).of(capture)
     if capture.calibrated and fit.light_power_factor != 1 and not fit.estimated and ours:
