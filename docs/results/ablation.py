@@ -85,8 +85,8 @@ def page(record: dict) -> str:
 
 RMSE at 128 px with a budget of 60 s, seed 0, version {record["versions"]["mitsvbrdf"]}: mean of 6 known \
 materials and of 18 captures without photos 4 and 7. The second number is the median difference to `full`, \
-with quartiles in brackets; above 0 the ingredient helps. Known materials needed only the neighbours' \
-answers as starts.
+with quartiles in brackets; above 0 the ingredient helps. On known materials only the \
+neighbours' answers as starts help.
 
 ![Difference on held-out photos](ablation.svg)
 
@@ -94,10 +94,10 @@ answers as starts.
 
 {as_markdown(added)}
 
-Held-out photos 4 and 7: error of the maps → with detail. *Patches* is the sliced Wasserstein distance of \
-7 x 7 patches inside highlights, *highlights* their share. {(added["bar"][small] == "met").sum()} of \
-{len(small)} captures at 128 px meet the bar (patches at most {PATCHES} and RMSE at most {RMSE} times those \
-of the maps), so detail stays optional.
+Held-out photos 4 and 7: error of the maps → with detail (ratio). *Patches* is the sliced Wasserstein \
+distance of 7 x 7 patches inside highlights, *highlights* the share of these pixels. \
+{(added["bar"][small] == "met").sum()} of {len(small)} captures at 128 px meet the bar (patches at most \
+{PATCHES} and RMSE at most {RMSE} times those of the maps), so detail stays optional.
 """
 
 

@@ -88,8 +88,8 @@ first fit of a new worker takes \
 
 {as_markdown(deaths(chaos))}
 
-{chaos["captures"]:,} made captures of {chaos["side"]} px, two workers. {killed["worker"]} workers and \
-{killed["command"]} times the command were killed with SIGKILL; the command was typed again each time. \
+{chaos["captures"]:,} made captures of {chaos["side"]} px, two workers. SIGKILL ended {killed["worker"]} \
+workers and, {killed["command"]} times, the command, which was typed again each time. \
 {len(chaos["undisturbed"]["different maps"])} of {chaos["undisturbed"]["maps"]:,} maps differ from those of \
 the undisturbed library.
 """

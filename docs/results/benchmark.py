@@ -120,14 +120,15 @@ def page(record: dict) -> str:
     figures = "{:.4f}".format
     return f"""# Error against run time
 
-Fits at 256 px through `mitsuba` on two cores ({record['machine']}). `hierarchical` is the default \
-method; `{PEERS}` is the optimiser that the peers publish beside their methods. Held-out photos are in no \
-fit. All fits are of versions {versions}.
+Fits at 256 px through `mitsuba` on two cores ({record['machine']}), version {versions}. `hierarchical` is \
+the default method; `{PEERS}` is the per-texel Adam of svbrdf-diff-renderer. No fit sees held-out photos. \
+They are predicted with the stated views, and the flash offset of fits that find one. *Published*: errors of \
+published predictions.
 
 ![Error against seconds](benchmark.svg)
 
 {markdown(held, published)}
-MaterialGAN, which saw all nine photos, is no measure of held-out photos. `gan` begins at the maps of the \
+Where MaterialGAN saw all nine photos, no photo is held out. `gan` begins at the maps of the \
 default, and changes a map only if held-out photos are predicted better. The default alone, 18 captures \
 without photos 4 and 7: mean {four[0]} (median {four[1]}), photos seen {four[2]} (median {four[3]}).
 
@@ -151,7 +152,7 @@ RMSE of maps encoded to 0 to 1, from nine exact 8-bit photos, by the default.
 
 {as_markdown(seconds(held))}
 
-The process is warm. The first guess comes before the loop, the uncertainty of the maps after it.
+The process is warm. Before the loop comes the guessed diffuse map, after it the uncertainty of the maps.
 
 ## Renderers
 

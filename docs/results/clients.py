@@ -56,7 +56,7 @@ show all of a material:
 
 ![RMSE with the light at the camera](clients.svg)
 
-## Means of the channels over what they should be: the one that is farthest off
+## Mean of a colour channel over the right one: the channel that is farthest off
 
 {as_markdown(table(record, means))}
 

@@ -56,25 +56,25 @@ def page(record: dict) -> str:
 
 ![Stated deviation against true error](coverage.svg)
 
-How to read it: of all texels with this stated deviation (across), 68 % err by less than the curve says \
-(up). On the grey line both are equal. Below it a fit is better than it says; above it, worse.
+Across: stated deviation. Up: the error below which 68 % of the texels with this deviation stay. On the grey \
+line both are equal. Below it a fit is better than it says; above it, worse.
 
-## Truths within one deviation
+## True values within one deviation
 
 {table}
 
 {len(record["cases"])} fits of the default method to made and known materials, nine 8-bit photos, sensor \
-noise of 0, 0.003 and 0.01 (linear). F0 *own* is the material's, else it is the same everywhere. A true \
-deviation holds 68 %. *Own photos*: by what the texel's photos leave open. *With look-alikes*: the error to \
-expect. A highlight is *seen* where a photo shows half of its peak. Where look-alikes told the answer, the \
-deviation by own photos is larger than its error.
+noise of 0, 0.003 and 0.01 (linear). 68 % would be right. F0 *own* is the material's, else it is the same \
+everywhere. *Own photos*: by what the texel's photos leave open. *With look-alikes*: the error to expect. A \
+highlight is *seen* where a photo shows half of its peak. Where look-alikes told the answer, the deviation \
+by own photos is larger than its error.
 
 ## Determined, and of these off by more than three deviations
 
 {sure}
 
-By the texel's own photos, as `fit` counts. Deviations of specular and roughness are too wide where no \
-photo shows the highlight, because such texels follow a lobe that others tell. A material whose \
+Shares by the texel's own photos, as `fit` counts. Deviations of specular and roughness are too wide where \
+no photo shows the highlight, because such texels follow a lobe that others tell. A material whose \
 specular is the same everywhere is nearly all within one deviation, or nearly all beyond.
 
 ## Within one deviation, with look-alikes, by case

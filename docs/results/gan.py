@@ -59,7 +59,7 @@ def known(record: dict) -> pd.DataFrame:
                                                  for name in MAPS]}
     for title, measured, method in (
             ("`gan`, 40 s", NOW, "full"), ("without the adversarial loss", NOW, WITHOUT),
-            ("before feature matching", BEFORE, "full"), ("`hierarchical`", BEFORE, "hierarchical"),
+            ("without feature matching", BEFORE, "full"), ("`hierarchical`", BEFORE, "hierarchical"),
             ("`gan`, 256 px, 300 s", "256 px, 300 s", "gan")):
         rows[title] = means(of(record, measured, method=method))
     return pd.DataFrame.from_dict(rows, orient="index", columns=HEADS)
@@ -111,7 +111,7 @@ def published(record: dict) -> pd.DataFrame:
 def captures(record: dict) -> pd.DataFrame:
     """Medians over eighteen captures."""
     rows = {}
-    for title, measured, method in (("`gan`, 128 px, 40 s, before feature matching", BEFORE, "gan"),
+    for title, measured, method in (("`gan`, 128 px, 40 s, without feature matching", BEFORE, "gan"),
                                     ("`hierarchical`, 128 px", BEFORE, "hierarchical"),
                                     ("`gan`, 256 px, 300 s", "256 px, 300 s", "gan"),
                                     ("`gan` from solved maps, 128 px", SOLVED, "gan"),
@@ -188,8 +188,8 @@ def page(record: dict) -> str:
 {as_markdown(known(record))}
 
 RMSE of maps encoded to 0 to 1, mean of six materials, median of three seeds (`gan` at 300 s: one), 128 px \
-where nothing else is said. `gan` is `--start guess` everywhere but in *From solved maps*. The adversarial \
-loss improves all maps but specular. Feature matching took the mean after 30 s from \
+where nothing else is said. `gan` is `--start guess` where *from solved maps* is not said. The \
+adversarial loss improves all maps but specular. Feature matching takes the mean after 30 s from \
 {matched[0]:.4f} to {matched[1]:.4f} (two seeds).
 
 {as_markdown(game(record))}
@@ -212,8 +212,8 @@ are predicted no better with it.
 
 {as_markdown(one_photo(record))}
 
-256 px, stated view 1.2 sides above; the published maps are of the publishers' own photo. Two of ten \
-materials are missing: their photos fail the test of repetition.
+256 px, stated view 1.2 sides above; the published maps were recovered from the publishers' own photo. Two \
+of ten materials are missing: their photos fail the test of repetition.
 
 | one flash photo of a stationary material | what it does | here |
 | --- | --- | --- |
@@ -226,10 +226,10 @@ game on crops in `--detail gan` |
 
 {as_markdown(one_photo_detail(record))}
 
-`fit --detail gan` begins at the looks and plays the game on crops of the photo, against maps that the same \
-flash lights at other places (128 px). *Patches* is the sliced Wasserstein distance of patches of pictures \
-under three new lights to those of the true maps. So the game is for pictures; the maps stay those of the \
-looks.
+Maps of the looks → with `fit --detail gan` (128 px), whose discriminator compares crops of the photo with \
+renderings under the same flash at other places. *Patches* is the sliced Wasserstein distance of patches of \
+pictures under three new lights to those of the true maps. Detail is for pictures; the maps stay those of \
+the looks.
 
 ## Captures
 
@@ -242,15 +242,16 @@ was kept in {len(changed)}; photos seen are rendered with the stated views there
 
 {as_markdown(printed(record))}
 
-The paper's sets 4 and 5 are not published: its rows stand for their order of size. `gan-two-stage` ran the \
-paper's 25,000 iterations at 64 px and width 16, and reaches that order. The photos of {bamboo["name"]} (32 \
-px) are met to {bamboo["errors"]["seen"]:.4f}, those held out to {bamboo["errors"]["held_out"]:.4f}.
+The paper's sets 4 and 5 are not published: its rows only tell the order of magnitude. `gan-two-stage` runs \
+the paper's 25,000 iterations at 64 px and width 16, and reaches that order. On {bamboo["name"]} (32 px) the \
+RMSE of photos seen is {bamboo["errors"]["seen"]:.4f}, of those held out \
+{bamboo["errors"]["held_out"]:.4f}.
 
 ## Each ingredient
 
 {as_markdown(ingredients(record))}
 
-Mean of metal-plating and fake-022, 128 px, 30 s, one seed; `full` had no feature matching yet.
+Mean of metal-plating and fake-022, 128 px, 30 s, one seed; `full` is without feature matching.
 
 ## Gradients of the generator's weights
 

@@ -146,11 +146,10 @@ RMSE of the maps and verdict, {SIDE} px, 20 s, median of three seeds (`direct` h
 | says so | a map is off by more; the fit warns of all that is wrong with its input, or the deviations it \
 states reach half of the error |
 | says part | it warns of one thing that is wrong, and not of another |
-| silent | no warning is of what is wrong, and the stated deviations are too small |
+| silent | it warns of nothing that is wrong, and the stated deviations are too small |
 | failed | an error, a figure that is not finite, or photos met no better than by the start |
 
-No method notices cameras that are off by 5 %, and under deep relief no method notices light that is stated \
-too weak.
+No method warns of cameras that are off by 5 %, nor, under deep relief, of light that is stated too weak.
 
 ## From harmless to extreme
 

@@ -8,7 +8,7 @@ calibration, and residuals in display values, robust (Huber) and one-sided where
 renderer.
 
 Residuals are not independent noise: where a map is wrong, so are all pixels around. So noise is measured on
-the residuals themselves (:meth:`Problem.evidence`). Without that, photos left out of a real fit moved their
+the residuals themselves (:meth:`Problem.evidence`). Without that, photos held out of a real fit moved their
 flash by more than a patch side, to explain errors of the maps; with it, by 0.02. An error of the maps that
 looks like a shift of the highlight is taken for one.
 """

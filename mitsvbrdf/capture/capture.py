@@ -103,10 +103,10 @@ class Capture:
         notes: what a user should know about how it was read (rejected photos, default geometry, ...).
         colours: what was converted to sRGB, by the name of the photos' colour profile.
         measured: N x R x R, False where photos are made up (masked, or beyond an edge); None: nowhere.
-        carries: pixels a side that they carried detail of before they were shrunk (:mod:`.sharpness`); None:
-            not asked.
-        single: N x P x P x 3, single pixels that they had before they were shrunk (:func:`single_pixels`);
-            None: they were not.
+        carries: resolution of the detail in the photos before they were shrunk, pixels a side
+            (:mod:`.sharpness`); None: not asked.
+        single: N x P x P x 3, single pixels of the photos before they were shrunk (:func:`single_pixels`);
+            None: they were not shrunk.
 
     Raises:
         CaptureError: photos of another shape or with values that no photo has, or not a view and a number for

@@ -26,7 +26,7 @@ MOST = {"width": 4096, "materials": 65536, "pictures": 1024}  # what takes memor
 # A setting that is on or off. Help names the option that changes it, which for one that is on begins with
 # --no-.
 Switch = Annotated[bool, arg(
-    help_behavior_hint=lambda usual: f"(default: {'on' if usual == 'True' else 'off'})")]
+    help_behavior_hint=lambda on: "This turns it off. (default: on)" if on == "True" else "(default: off)")]
 
 
 def check_seed(seed: int) -> None:

@@ -75,7 +75,7 @@ def named_files(fix: Sequence[str]) -> list[str]:
 
 
 def described(fix: Sequence[str]) -> dict[str, str]:
-    """Map name -> "held at VALUE", for lists of what a fit left out."""
+    """Map name -> "held at VALUE", for lists of what a fit omits."""
     return {name: f"held at {value}" for name, _, value in (item.partition("=") for item in fix)}
 
 

@@ -43,7 +43,7 @@ class FitOptions:
     side: float | None = None
     """Side of the patch in the unit of the positions. Default: as stated."""
     light_factor: float = 1.0
-    """Factor on the stated light power: 0.0001 of centimetres for metres."""
+    """Factor on the stated light power: 0.0001 if it is in centimetres and the positions in metres."""
     variant: Literal["llvm_ad_rgb", "cuda_ad_rgb"] = "llvm_ad_rgb"
     """Mitsuba variant."""
     detail: Literal["none", "gan"] = "none"

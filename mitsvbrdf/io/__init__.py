@@ -2,8 +2,8 @@
 
 ``files`` writes whole or not at all and locks, ``results`` does the same for a folder of results, whose files
 ``manifest`` lists. ``json`` reads JSON, ``decode`` photos, ``images`` reads and writes pictures. ``progress``
-talks to the user, ``streams`` lets no full disk end that, ``signals`` listens for Ctrl-C. ``profile`` says
-where a fit's time goes, ``timing`` compares jobs, ``provenance`` names the machine and the versions.
+talks to the user, ``streams`` lets no full disk end that, ``signals`` listens for Ctrl-C. ``timing``
+compares jobs, ``provenance`` names the machine and the versions.
 """
 
 from collections.abc import Callable

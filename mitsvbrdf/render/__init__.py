@@ -55,9 +55,9 @@ def make_renderer(name: str = "mitsuba", variant: str = "llvm_ad_rgb",
     """A renderer by name; Mitsuba is loaded only for the two that need it.
 
     Args:
-        name: one of the table above.
+        name: ``mitsuba``, ``mitsuba-scene``, ``analytic`` or ``analytic64`` (in float64).
         variant: the Mitsuba variant, ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
-        needs: what to compute, to measure what leaving out costs and saves; default: what each scene needs.
+        needs: what to compute; default: what each scene needs. Others measure what an omission saves.
 
     Raises:
         ConfigError: unknown name.

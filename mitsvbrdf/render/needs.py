@@ -47,7 +47,7 @@ class Needs:
 def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
     """Decide from material, views and renderer what a point-lit plane does not need.
 
-    A lobe, a colour or a normal map is left out where the map's values say that it changes nothing, unless
+    A lobe, a colour or a normal map is omitted where the map's values say that it changes nothing, unless
     the map wants a gradient: one at 0 has a slope. A grey specular map may want one if it is a single channel
     expanded to three (``Tensor.expand``); that gradient belongs to the channel, not to the expanded tensor.
 

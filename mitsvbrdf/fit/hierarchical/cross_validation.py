@@ -1,11 +1,11 @@
 """How far each photo of a phone is to be believed at full size: as far as it helps to predict the others.
 
 What a rendering misses in real photos is no noise: alignment, lobes that are no GGX, light that is no point.
-It repeats in neighbouring pixels and photos, so what is left unexplained does not tell how much of a texel's
-detail is the material's. Photos that a fit did not see tell (cross-validation; Stone 1974): each is left out
-in turn and predicted with the views as they are, at every k-th texel of full size, and of all noises that
-predict equally well the least is taken, by which the photos seen are explained best (one standard error as in
-Breiman et al. 1984, of differences between the same photos).
+It repeats in neighbouring pixels and photos, so the errors of photos seen do not tell how much of a texel's
+detail is the material's. Photos that a fit did not see tell (cross-validation; Stone 1974). Each is held out
+in turn and predicted with the views as they are, at every k-th texel of full size. Of all noises that predict
+equally well the fit takes the least: it explains the photos seen best. Equally well is within one standard
+error (Breiman et al. 1984) of differences between the same photos.
 """
 
 import math
@@ -23,15 +23,15 @@ from .texel_prior import TexelEstimate, TexelPrior
 # asked for 0.12 or 0.18, four predicted photos that no fit saw as well or better with 0.08, one 2 % worse and
 # one 12 %, and all explained those seen better.
 NOISES = (0.03, 0.05, 0.08)
-# Photos; of fewer none can be spared, and of many no more are left out in turn. Four of seven were too few:
+# Photos; of fewer none can be spared, and of many no more are held out in turn. Four of seven were too few:
 # by more chance they chose less noise, and two captures of eight were predicted worse (1.13 and 1.03 times).
 FEWEST, MOST = 4, 12
-AGREED = 4  # rounds in which texels forget a photo that is left out
+AGREED = 4  # rounds in which texels forget a photo that is held out
 STEPS, ROUNDS = 6, 3  # of Levenberg-Marquardt, and of these with the freedom that texels took
 
 
 def in_turn(count: int) -> range:
-    """Which of so many photos are left out in turn: all or evenly some, none where they are too few."""
+    """Which of so many photos are held out in turn: all or evenly some, none where they are too few."""
     return range(0, count if count >= FEWEST else 0, math.ceil(count / MOST))
 
 

@@ -268,7 +268,7 @@ def traced_maps(mi: ModuleType, unknowns: Unknowns, x: list, fixed: dict) -> tup
 def turned(direction: Any, towards_s: Any, towards_t: Any) -> Any:
     """The slope of a direction in a shading frame whose normal turns towards its tangents.
 
-    The frame's turn about the normal itself is left out: no lobe sees it.
+    The frame's turn about the normal itself is omitted: no lobe sees it.
     """
     return type(direction)(-towards_s * direction.z, -towards_t * direction.z,
                            towards_s * direction.x + towards_t * direction.y)

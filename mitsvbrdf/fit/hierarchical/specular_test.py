@@ -39,7 +39,7 @@ from .stages import Stage
 from .starts import other_starts, stepped
 from .texel_prior import LEAST_PRECISION, TexelEstimate, TexelPrior
 
-# the maps of the lobe that may be left out, by parameter set
+# the maps of the lobe that may be omitted, by parameter set
 LOBE = {"roughconductor": ("specular", "roughness")}
 RARE = 0.05  # how often noise alone may decide a test, or all tests of one kind together
 WEAK = 0.01  # specular of a weak lobe, linear: half that of water, the lowest of common dielectrics

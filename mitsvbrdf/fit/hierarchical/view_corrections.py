@@ -44,7 +44,7 @@ class ViewCorrections:
         self.change = torch.zeros(len(capture), CHANGE.size, dtype=torch.float64)
         self.deviation, self.flash_deviation = torch.zeros_like(self.change), torch.zeros(2,
                                                                                           dtype=torch.float64)
-        self.skipped = torch.zeros(())  # 1 where a refinement was left out, for which there was no time
+        self.skipped = torch.zeros(())  # 1 where a refinement was omitted for lack of time
 
     @property
     def priors(self) -> Priors:
