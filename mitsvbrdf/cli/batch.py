@@ -50,13 +50,13 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
     """Fit many captures into one library. Run again after a crash, it goes on.
 
     `mitsvbrdf batch shots/ -o library` fits each capture in shots/. The options are those of `mitsvbrdf fit`.
-    The same command again goes on: it checks and skips what is done, fits what has changed, and tries again
-    what failed with --retry-failed. Raw photos become captures first. Ctrl-C waits for what runs; a second
-    one does not.
+    The same command again goes on: it checks and skips what is done, and fits what has changed. With
+    --retry-failed it also fits what failed. Raw photos become captures first. Ctrl-C waits for the fits that
+    run; a second one ends them.
 
-    LIBRARY then holds a folder a material, index.html to look at (also while the batch runs), library.json
-    for pandas, and failed/ with the reason and the log of each capture that failed. The exit code is 1 where
-    one failed. Needs Ray: pip install 'mitsvbrdf[batch]'.
+    LIBRARY then holds a folder for each material, index.html to look at (also while the batch runs),
+    library.json for pandas, and failed/ with the reason and the log of each capture that failed. The exit
+    code is 1 where one failed. Needs Ray: pip install 'mitsvbrdf[batch]'.
     """
     running.check()
     shared.check(config)

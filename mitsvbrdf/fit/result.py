@@ -228,7 +228,7 @@ class Fit:
 
     @property
     def known_views(self) -> Views | None:
-        """The same, or None: maps that came without a fit have none."""
+        """The views as fitted; None for maps that came without a fit."""
         return self.views if "views" in self.known or "views" in self.record else None
 
     @cached_property
@@ -260,7 +260,7 @@ class Fit:
     def of(self, capture: Capture) -> bool:
         """Whether it was fitted to photos of this capture.
 
-        Folders of one name tell, and photos of the same number that look the same, as far as they are kept.
+        The folders have one name, and photos of one number look the same, as far as the fit keeps them.
         """
         named = (self.capture or "") == capture.name and bool(self.capture or self._kept)
         return named and all(float(np.median(np.abs(images.averaged(photo.numpy(), 4) - self._kept[number])))

@@ -39,12 +39,12 @@ def read_image(path: Path, error: type[MitsvbrdfError], data: bool = False, alph
     """An image file as float32 H x W x C, row 0 at the top, RGB order, turned as its EXIF says.
 
     8- and 16-bit files give display values in [0, 1]; EXR files give what they hold, of one, two or three
-    channels (:func:`read_exr`). Alpha is dropped, or (``alpha``) is all that is read. Colours are converted
-    to those of sRGB and Rec. 709 where the file states others.
+    channels (:func:`read_exr`). Colours of other spaces are converted to those of sRGB and Rec. 709.
 
     Args:
         error: raised where it is missing or unreadable.
         data: its numbers are no colours (roughness, normals), and stay as they are.
+        alpha: whether to read only alpha, which is dropped otherwise.
 
     Warns:
         InputWarning: a damaged JPEG (see :func:`~mitsvbrdf.io.decode.picture`); colours outside of sRGB,

@@ -18,7 +18,7 @@ _waiting: list[threading.Timer] = []  # the next try of such a Ctrl-C
 def interrupt(number: int, frame: FrameType | None) -> None:
     """A handler of Ctrl-C that raises KeyboardInterrupt, once no import is under way.
 
-    Raised while an extension module loads, it may end the process, become another error, or be lost.
+    While an extension module loads, the error may end the process, become another error, or be lost.
     """
     while frame is not None:
         if frame.f_globals.get("__name__") == "importlib._bootstrap":

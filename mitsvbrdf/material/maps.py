@@ -141,7 +141,7 @@ class SVBRDF:
         return self
 
     def as_roughconductor(self) -> SVBRDF:
-        """Diffuse and specular maps of a principled material, exact from above but for Burley's diffuse."""
+        """Diffuse and specular maps of a principled material: from above exact but for Burley's diffuse."""
         if self.bsdf == "roughconductor":
             return self
         base, metallic = self["base_color"], self["metallic"]

@@ -25,9 +25,9 @@ FEATHER = 16  # the part of the overlap over which the two sides blend at the cu
 def seamless(svbrdf: SVBRDF) -> tuple[SVBRDF, float]:
     """The material with edges that meet left to right and top to bottom, all maps cut along the same lines.
 
-    The overlap is the one whose best cuts differ least, so that tiles and weaves end where they began; it is
-    the same both ways, and a square stays a square. What is seamless already comes back. Gives the material
-    at its resolution, and which part of its side it now shows. MapsError: fewer than 16 texels a side.
+    The overlap is the one whose best cuts differ least, so that tiles and weaves end where they began. It is
+    the same both ways, so a square stays a square. A seamless material comes back as it is. Returned are
+    the material at its resolution, and which part of its side it shows. MapsError: fewer than 16 texels.
     """
     size = svbrdf.resolution
     if size < 2 * NARROWEST:

@@ -230,7 +230,7 @@ def write_detail_page(found: Fit, into: Path) -> str | None:
 
 
 def unseen_view(views: Views) -> Views:
-    """The view half way between two photos that is farthest from every camera: the means of theirs."""
+    """The mean view of two photos: of all pairs, the one whose camera is farthest from every camera."""
     pairs = torch.combinations(torch.arange(len(views)), with_replacement=True)
     camera, light, intensity = (x[pairs].mean(dim=1) for x in (views.camera, views.light, views.intensity))
     farthest = int(torch.cdist(camera, views.camera).amin(dim=1).argmax())

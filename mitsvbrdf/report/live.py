@@ -23,8 +23,8 @@ ENDED = {"settled": "settled: going on would change little", "budget": "out of s
 
 
 class LivePage:
-    """Writes the page ``live.html`` into ``folder``, where a result is being made, at each state of a fit
-    that it is called with; the result will appear in ``out``.
+    """A page about a running fit: each call with a state writes ``live.html`` into ``folder``, where the
+    result is being made. The result will appear in ``out``.
     """
 
     def __init__(self, folder: Path, out: Path) -> None:

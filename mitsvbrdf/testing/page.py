@@ -92,7 +92,7 @@ def gradient_row(title: str, new: Tensor, reference: Tensor) -> Row:
 
 
 def heat(name: str, size: Tensor) -> tuple[str, str]:
-    """Caption and picture of sizes H x W, log scale over four decades; not finite is brightest."""
+    """Caption and picture of sizes H x W on a log scale of four decades; what is not finite is brightest."""
     high = float(size[torch.isfinite(size)].max()) if torch.isfinite(size).any() else 1.0
     if max(size.shape) > PICTURE_SIDE:  # shrunk so that a single bad pixel stays visible
         size = F.adaptive_max_pool2d(size[None], shrunk(size, PICTURE_SIDE))[0]

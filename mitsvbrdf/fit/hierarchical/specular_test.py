@@ -10,8 +10,8 @@ They are explained without a lobe, every texel to the end, and two things are as
 * Would the photos show even a weak lobe? All texels are given one, the same to all, of each of some
   roughnesses. It has no unknowns of its own, so likelihoods are compared: with any of these lobes the photos
   must be the less likely, all together, by as much as makes a mistake rare (Wald 1945), and no block may be
-  the more likely by as much. So photos that cannot tell a lobe from the diffuse colour, as those of a broad
-  lobe in noise, do not count as matte.
+  the more likely by as much. So a material is not called matte by photos that cannot tell a lobe from the
+  diffuse colour, such as photos of a broad lobe in noise.
 
 Each texel's noise is its own: sensor noise of dark texels is larger in display values than that of bright
 ones.

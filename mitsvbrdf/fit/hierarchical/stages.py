@@ -166,7 +166,7 @@ class Stages:
         self.rounds += 1
 
     def repeat_round(self) -> None:
-        """Count the latest round, which was not a whole one, no longer."""
+        """Uncount the latest round, which was cut short."""
         self.rounds -= 1
 
     def _next_noise(self) -> float:
