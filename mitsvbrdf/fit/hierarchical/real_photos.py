@@ -123,8 +123,8 @@ class RealPhotos:
     def close(self, answer: TexelEstimate, scale: Scale, more: int = 0) -> Tensor:
         """An answer with what the photos burnt in taken out, and the diffuse map that belongs to it.
 
-        Before the last stage: of an answer as if that stage began now. Steps that cannot end in time are left
-        out.
+        Before the last stage: of an answer as if that stage began now. Steps that cannot end in time are
+        omitted.
 
         Args:
             answer: with tied texels, or free ones.
