@@ -123,9 +123,8 @@ def test_the_state_of_torch_and_mitsuba_is_left_as_found():
 
         def state():
             return (torch.get_default_dtype(), torch.is_grad_enabled(), torch.get_num_threads(),
-                    torch.initial_seed(),
-                    torch.get_rng_state().tolist(), torch.are_deterministic_algorithms_enabled(),
-                    mi.variant(), [dr.flag(flag) for flag in dr.JitFlag])
+                    torch.initial_seed(), torch.get_rng_state().tolist(), mi.variant(),
+                    torch.are_deterministic_algorithms_enabled(), [dr.flag(flag) for flag in dr.JitFlag])
 
         before = state()
         fitted(DIRECT)
@@ -135,16 +134,12 @@ def test_the_state_of_torch_and_mitsuba_is_left_as_found():
 
 GREY = torch.full((9, 8, 8, 3), 0.5)
 WRONG = {
-    "no views": lambda: GRID.pick([]),
-    "no rows": lambda: mv.Views.of([]),
+    "no views": lambda: GRID.pick([]), "no rows": lambda: mv.Views.of([]),
     "no tensors": lambda: mv.Views(GRID.camera[:0], GRID.light[:0], GRID.intensity[:0]),
     "lists for tensors": lambda: mv.Views([[0, 0, 1]], [[0, 0, 1]], [[1, 1, 1]]),
-    "a view too far": lambda: GRID.pick([9]),
-    "a view before the first": lambda: GRID.pick([-1]),
-    "a fraction of a view": lambda: GRID.pick([0.0]),
-    "a truth for a view": lambda: GRID.pick([True, False]),
-    "text for a view": lambda: GRID.pick("01"),
-    "one number for views": lambda: GRID.pick(1),
+    "a view too far": lambda: GRID.pick([9]), "a view before the first": lambda: GRID.pick([-1]),
+    "a fraction of a view": lambda: GRID.pick([0.0]), "a truth for a view": lambda: GRID.pick([True, False]),
+    "text for a view": lambda: GRID.pick("01"), "one number for views": lambda: GRID.pick(1),
     "another BSDF of a fit": lambda: mv.fit_svbrdf(mv.Capture(GREY, GRID), mv.make_renderer("analytic"),
                                                    mv.DirectConfig(bsdf="x", iterations=1)),
     "another BSDF of maps": lambda: mv.SVBRDF("x", dict(flat(8).maps)),
@@ -158,6 +153,10 @@ WRONG = {
     "photos of 32 bits": lambda: mv.Capture((GREY * 255).int(), GRID),
     "oblong photos": lambda: mv.Capture(GREY[:, :4], GRID),
     "no photos": lambda: mv.Capture(GREY[:0], GRID),
+    "views below the plane": lambda: mv.Capture(GREY, mv.Views(-GRID.camera, GRID.light, GRID.intensity)),
+    "another calibration": lambda: mv.Capture(GREY, GRID, calibration="x"),
+    "a mask of numbers": lambda: mv.Capture(GREY, GRID, measured=GREY[..., 0].byte()),
+    "a mask of other photos": lambda: mv.Capture(GREY, GRID, measured=GREY[..., :1] > 0),
     "another transfer": lambda: mv.Capture(GREY, GRID, "x"),
     "numbers for fewer photos": lambda: mv.Capture(GREY, GRID, index=(0, 1)),
     "a number for two photos": lambda: mv.Capture(GREY, GRID, index=(0, 0, 1, 2, 3, 4, 5, 6, 7)),
@@ -177,7 +176,9 @@ def test_a_wrong_argument_is_one_error_of_the_package(what):
 
 
 def test_numbers_of_any_whole_kind_pick_photos():
-    shots = mv.Capture(GREY.double(), GRID, index=range(9))
+    views = replace(GRID, camera=GRID.camera.clone().requires_grad_())
+    shots = mv.Capture(GREY.double().requires_grad_(), views, index=range(9))
     assert shots.photos.dtype == torch.float32
+    assert not (shots.photos.requires_grad or shots.views.camera.requires_grad)
     for index in ([2, 0], (2, 0), torch.tensor([2, 0]), torch.tensor([2, 0]).numpy()):
         assert shots.pick(index).index == (2, 0) and torch.equal(GRID.pick(index).camera, GRID.camera[[2, 0]])

@@ -7,7 +7,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Literal, cast, get_args
 
 import torch
 from torch import Tensor
@@ -110,8 +110,8 @@ class Capture:
 
     Raises:
         CaptureError: photos of another shape or with values that no photo has, or not a view and a number for
-            each.
-        ConfigError: another transfer function.
+            each; views that :meth:`Views.check` refuses; ``measured`` that is no mask of them.
+        ConfigError: another transfer function or calibration.
     """
 
     photos: Tensor
@@ -127,8 +127,14 @@ class Capture:
     single: Tensor | None = None
 
     def __post_init__(self) -> None:
-        check_fields(self, "views", "transfer", "calibration", "source")
+        check_fields(self, "views", "transfer", "calibration", "source", "measured")
         color.parts(self.transfer)
+        if self.calibration not in get_args(Calibration):
+            raise ConfigError(f"a calibration of {get_args(Calibration)}", repr(self.calibration),
+                              "choose one of these")
+        self.views.check()
+        object.__setattr__(self, "views", replace(self.views, **{
+            name: getattr(self.views, name).detach() for name in ("camera", "light", "intensity")}))
         if len(self) != len(self.views):
             raise CaptureError(f"a view for each of {len(self)} photos",
                                f"{len(self.views)} views", "give one row of calibration a photo")
@@ -137,6 +143,10 @@ class Capture:
             raise CaptureError(f"a number of its own for each of {len(self)} photos", str(index),
                                "omit the index")
         object.__setattr__(self, "index", tuple(index))
+        shape, told = self.stored.shape[:3], self.measured
+        if told is not None and (told.dtype != torch.bool or told.shape != shape):
+            raise CaptureError(f"measured of {tuple(shape)}, bool", f"{tuple(told.shape)}, {told.dtype}",
+                               "give True where a pixel is one of the photo")
 
     def __len__(self) -> int:
         return self.stored.shape[0]
@@ -271,4 +281,4 @@ def _checked(photos: Tensor) -> Tensor:
     if most > 1 and (mean := float(photos.mean())) > 2:
         raise CaptureError("photos of display values, where white is 1", f"a mean of {mean:.3g}",
                            "divide values of 8 bits by 255")
-    return photos.float()
+    return photos.detach().float()
