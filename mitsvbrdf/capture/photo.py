@@ -160,9 +160,8 @@ def photos_in(folder: str | Path) -> list[Path]:
                       stacklevel=3)
     raw = [p for p in found if p.suffix.lower() in RAW]
     if raw and len(raw) < len(found):
-        raise CaptureError("photos of one kind",
-                           f"{len(raw)} RAW files and {len(found) - len(raw)} others in {folder}",
-                           "move one kind to another folder")
+        raise CaptureError("photos of one kind", f"{len(raw)} RAW files and {len(found) - len(raw)} others "
+                           f"in {folder}", "move one kind to another folder")
     return found
 
 
@@ -186,11 +185,7 @@ def of_one_camera(photos: Sequence[Photo]) -> tuple[list[Photo], dict[str, str],
             reasons[photo.name] = (f"{photo.size[0]} x {photo.size[1]} pixels, the others have "
                                    f"{usual[0]} x {usual[1]}: {why}")
     photos, told = with_one_balance(photos)
-    notes = [*differences(photos), *told]
-    if all(photo.exif.get("flash") == "off" for photo in photos):
-        notes.append("no photo was taken with the flash, as their EXIF says: the highlights are those of the "
-                     "room's lights")
-    return [photo for photo in photos if photo.size == usual], reasons, notes
+    return [photo for photo in photos if photo.size == usual], reasons, [*differences(photos), *told]
 
 
 def with_one_balance(photos: Sequence[Photo]) -> tuple[list[Photo], list[str]]:
@@ -204,7 +199,7 @@ def with_one_balance(photos: Sequence[Photo]) -> tuple[list[Photo], list[str]]:
 
 
 def differences(photos: Sequence[Photo]) -> list[str]:
-    """A warning for each setting of the camera that is not the same in all photos, with photos and values."""
+    """A warning for each setting that differs, with photos and values; and one where none has the flash."""
     found = []
     for what in SAME:
         names: dict[float | str, list[str]] = {}
@@ -219,6 +214,9 @@ def differences(photos: Sequence[Photo]) -> list[str]:
             found.append(f"{what} differs: {_shown(usual)} in {names[usual][0]}"
                          f"{' and others' if len(names[usual]) > 1 else ''}, {listed}{more}; lock it for "
                          "comparable photos")
+    if all(photo.exif.get("flash") == "off" for photo in photos):
+        found.append("no photo was taken with the flash, as their EXIF says: the highlights are those of the "
+                     "room's lights")
     return found
 
 

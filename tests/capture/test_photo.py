@@ -9,6 +9,7 @@ import pytest
 from PIL import Image
 
 from mitsvbrdf.capture.photo import Photo, differences, of_one_camera, photos_in, read_exif
+from mitsvbrdf.capture.read import read_capture
 from mitsvbrdf.errors import CaptureError, InputWarning
 
 
@@ -41,6 +42,7 @@ def test_header(tmp_path):
                           "date": "2024:05:06 07:08:09"}
     # a flash that was switched off, says the standard
     assert saved(tmp_path / "b.jpg", flash=0x10).exif["flash"] == "off"
+    assert any("with the flash" in note for note in read_capture(tmp_path / "b.jpg").notes)
     # A turned photo is given as the sensor stored it; JPEG at quality 95 changes this picture by 7 steps at
     # most.
     assert np.abs(photo.pixels().astype(int) - picture()).max() <= 8
