@@ -55,6 +55,9 @@ WRONG = {
     "seconds as text": lambda: mv.fit_svbrdf(CAPTURE, mv.make_renderer("analytic"),
                                              mv.HierarchicalConfig(budget="3")),
     "a side of text": lambda: mv.ExportSettings(side="1"),
+    "a negative side": lambda: mv.export_material(MADE, "out", settings=mv.ExportSettings(side=-1.0)),
+    "an export out of range": lambda: mv.export_material(MADE.map(lambda m: 3 * m), "out"),
+    "maps out of range": lambda: mv.save_maps(MADE.map(lambda m: 3 * m), "out"),
     "formats by number": lambda: mv.export_material(MADE, "out", 5),
     "a folder by number": lambda: mv.load_maps(5),
 }

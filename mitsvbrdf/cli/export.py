@@ -7,7 +7,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
-from ..errors import BackendError, ConfigError
+from ..errors import BackendError
 from ..export import FORMATS, check_options, export_material
 from ..export.textures import Bits, Export, ExportSettings, Naming, NormalConvention
 from ..io import images, results
@@ -19,7 +19,6 @@ from ..relight.stage import sphere
 from . import options
 
 PREVIEW, THUMBNAIL = 512, 128  # pixels a side
-SMALLEST, LARGEST = 1e-3, 1e6  # side of a patch, centimetres
 
 
 def export(
@@ -51,15 +50,12 @@ def export(
     store: the RMSE of maps as linear^(1/2.2), and of pictures under three lights in display values.
     """
     formats = [part.strip() for part in to.split(",")]
-    settings = ExportSettings(options.name_of(maps), naming, normal, bits, licence=licence or None,
-                              repeats=tile)
+    settings = ExportSettings(options.name_of(maps), naming, normal, bits,
+                              None if side_cm is None else side_cm / 100, licence or None, tile)
     check_options(formats, settings)
-    if side_cm is not None and not SMALLEST <= side_cm <= LARGEST:
-        raise ConfigError(f"a side of {SMALLEST:g} to {LARGEST:g} cm", f"--side-cm {side_cm:g}",
-                          "give it in centimetres")
     out = out or options.folder_inside(maps, "export")
     svbrdf, fit = options.material_of(maps, 256, encoding), options.fit_of_maps(maps)
-    side = side_cm / 100 if side_cm is not None else fit.side_metres
+    side = fit.side_metres if settings.side is None else settings.side
     options.keep_apart_from_maps(maps, out)
     if tile:
         svbrdf, side = _tiled(svbrdf, side)

@@ -12,6 +12,7 @@ from ..views import Views, nine_view_grid
 from .textures import DEFAULTS, Bits, Export, ExportSettings, Naming, NormalConvention
 
 FORMATS = ("gltf", "materialx", "usd", "mitsuba", "maps")
+SMALLEST, LARGEST = 1e-3, 1e6  # side of a patch, centimetres
 
 
 @entry()
@@ -20,7 +21,7 @@ def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS
     """Write ``out/FORMAT/`` for each format, with an ``export.json`` that describes every file.
 
     Args:
-        svbrdf: the material, checked (:meth:`SVBRDF.check`).
+        svbrdf: the material.
         out: made when missing.
         to: of :data:`FORMATS`.
         views: the first one is shown by the Mitsuba scene; default: from above, near the centre.
@@ -29,11 +30,12 @@ def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS
         What was written, by format.
 
     Raises:
-        ConfigError: an unknown format, or an option of ``maps`` without it.
+        ConfigError: an unknown format, an option of ``maps`` without it, or a side out of range.
+        MapsError: values out of range (:meth:`SVBRDF.check`).
     """
     from . import gltf, maps, materialx, mitsuba, usd
 
-    out, svbrdf = Path(out), svbrdf.detach()
+    out, svbrdf = Path(out), svbrdf.detach().check()
     check_options(to, settings)
     writers: dict[str, Callable[[Path, SVBRDF, ExportSettings], Export]] = {
         "gltf": gltf.write_gltf, "materialx": materialx.write_materialx, "usd": usd.write_usd,
@@ -58,6 +60,9 @@ def check_options(to: Sequence[str], settings: ExportSettings = DEFAULTS) -> Non
         choices = get_args(literal)
         if value not in choices:
             raise ConfigError(f"{what} of {', '.join(map(str, choices))}", repr(value), "choose one of these")
+    if settings.side is not None and not SMALLEST <= 100 * settings.side <= LARGEST:
+        raise ConfigError(f"a side of {SMALLEST:g} to {LARGEST:g} cm", f"{100 * settings.side:g}",
+                          "ExportSettings takes metres, --side-cm centimetres")
     if "maps" not in to and (settings.naming, settings.normal) != ("own", "gl"):
         raise ConfigError("maps among the formats, beside a naming or DirectX normals", ", ".join(to),
                           "add maps: the other formats define names and normals themselves")

@@ -104,9 +104,10 @@ def save_maps(svbrdf: SVBRDF, folder: str | Path) -> SVBRDF:
 
     Normals are (n + 1) / 2 in both. A principled material also gets its diffuse and specular maps, for tools
     that want those. Gives the material as :func:`load_maps` reads it: its normals have made a round trip.
+    MapsError: values out of range (:meth:`SVBRDF.check`), which :func:`load_maps` would refuse.
     """
     folder = Path(folder)
-    svbrdf = svbrdf.detach()
+    svbrdf = svbrdf.detach().check()
     both = dict(svbrdf.as_roughconductor().maps) | dict(svbrdf.maps)
 
     def write(name: str, value: Tensor) -> None:
