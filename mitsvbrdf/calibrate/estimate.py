@@ -89,14 +89,14 @@ def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
     found.
 
     It is itself, and found is None, where views are known. Where they cannot be estimated (:func:`why_not`)
-    the default geometry stays, and a note says why.
+    the default geometry is taken, and a note says why.
     """
     if capture.calibrated:
         return capture, None
     why = why_not(capture)
     if why:
         return capture.but(notes=(*capture.notes, f"views not estimated: {why}; the default geometry "
-                                                       "stays")), None
+                                                       "is taken")), None
     found = estimate_views(capture)
     height = float(found.views.camera[:, 2].mean()) / found.views.size
     x, y, z = ESTIMATED.unpack(found.deviation.mean(dim=0)).camera.tolist()

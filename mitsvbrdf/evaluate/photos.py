@@ -18,9 +18,8 @@ from ..material.maps import SVBRDF
 from ..measure.metrics import of_all
 from ..measure.rerender import rerender, rerender_errors
 from ..render import Renderer
-from ..views import Views, shift_lights
 from . import evaluate_capture
-from .placement import placed
+from .placement import fitted_views, placed
 
 
 def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Renderer,
@@ -72,24 +71,6 @@ def evaluate_fit(fit: Fit, capture: Capture) -> dict:
         raise ConfigError("a fit of one of our renderers", fit.renderer, "give a renderer")
     capture = capture.but(views=replace(capture.views, falloff=fit.falloff))
     return evaluate_photos(fit.svbrdf, fit, placed(capture, fit), engine)
-
-
-def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
-    """The views to show a fit's maps with, and the names of the photos whose view is the fit's.
-
-    These are the photos that it saw, where it was fitted to this capture; the others have the capture's view
-    and the flash offset of the fit. Lengths are in patch sides.
-    """
-    views = shift_lights(capture.views, fit.flash_offset).in_patch_sides()
-    if fit.known_views is None or not fit.of(capture):
-        return views, []
-    stored = fit.views.in_patch_sides()
-    rows = {row: fit.seen.index(number) for row, number in enumerate(capture.index)
-            if number in fit.seen[:len(stored)]}
-    parts = {part: getattr(views, part).clone() for part in ("camera", "light", "intensity")}
-    for part, values in parts.items():
-        values[list(rows)] = getattr(stored, part)[list(rows.values())].to(values.dtype)
-    return replace(views, **parts), [capture.names[row] for row in rows]
 
 
 def _words(fit: Fit, fitted: list[str], capture: Capture) -> str:

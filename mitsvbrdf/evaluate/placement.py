@@ -63,16 +63,38 @@ def placed(capture: Capture, fit: Fit, transfer: color.Transfer | None = None) -
                                           intensity=capture.views.intensity * brighter))
 
 
+def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
+    """The views to show a fit's maps with, and the names of the photos whose view is the fit's.
+
+    These are the photos that it saw, where it was fitted to this capture; the others have the capture's view
+    and the flash offset of the fit. Lengths are in patch sides.
+    """
+    views = shift_lights(capture.views, fit.flash_offset).in_patch_sides()
+    if fit.known_views is None or not fit.of(capture):
+        return views, []
+    stored = fit.views.in_patch_sides()
+    rows = {row: fit.seen.index(number) for row, number in enumerate(capture.index)
+            if number in fit.seen[:len(stored)]}
+    parts = {part: getattr(views, part).clone() for part in ("camera", "light", "intensity")}
+    for part, values in parts.items():
+        values[list(rows)] = getattr(stored, part)[list(rows.values())].to(values.dtype)
+    return replace(views, **parts), [capture.names[row] for row in rows]
+
+
 def named_views(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views, list[str]]:
-    """Names and views of a capture (:func:`placed`) or of ``builtin:grid``; and what was noticed."""
+    """Names and views of a capture (:func:`placed`; of a photo that states none as the fit moved them) or of
+    ``builtin:grid``; and what was noticed.
+    """
     if source == "builtin:grid":
         views = replace(nine_view_grid(), falloff=falloff)
         return [f"{i:02d}" for i in range(len(views))], views, []
     if source.startswith("builtin:"):
         raise CaptureError("a capture folder or builtin:grid", source, "check --views")
     read = read_capture(Path(source), falloff=falloff)
-    shots = placed(read, fit or Fit())
-    return list(shots.names), shots.views, list(shots.notes[len(read.notes):])
+    fit = fit or Fit()
+    shots = placed(read, fit)
+    views = shots.views if shots.calibrated or fit.estimated else fitted_views(fit, shots)[0]
+    return list(shots.names), views, list(shots.notes[len(read.notes):])
 
 
 def predict(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,

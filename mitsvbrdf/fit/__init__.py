@@ -34,7 +34,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     Args:
         capture: photos and views. Where it has none, they are estimated from the photos first, but for the
             paper's method (:mod:`mitsvbrdf.calibrate.estimate`); of one or two photos the default geometry
-            stays.
+            is taken.
         renderer: carries the gradients and draws the comparison.
         config: which method and its settings. Default: ``HierarchicalConfig()``.
         checkpoint: file (.safetensors) to keep the running state in.

@@ -124,7 +124,8 @@ def views_record(capture: Capture, views: Views, estimated: EstimatedViews | Non
     told = [ESTIMATED.unpack(estimated.deviation)] if estimated else []
     told += [CHANGE.unpack(refined)] if refined is not None else []
     offset = ((sides.light - sides.camera) - (begun.light - begun.camera)).mean(dim=0)[:2].tolist()
-    return {"from": capture.calibration, "estimated": estimated is not None, "refined": refined is not None,
+    moved = refined is not None or not torch.allclose(sides.camera.double(), begun.camera.double())
+    return {"from": capture.calibration, "estimated": estimated is not None, "refined": moved,
         "camera": dict(zip(capture.names, sides.camera.tolist())),
         "camera_sd": dict(zip(capture.names, _together([sure.camera for sure in told]))) if told else None,
         "log_exposure_sd": dict(zip(capture.names, _together([sure.log_exposure for sure in told]))) if told

@@ -12,6 +12,7 @@ from ..calibrate.estimate import EstimatedViews, self_calibrated, why_not
 from ..calibrate.readings import doubts
 from ..capture import Capture, guess_diffuse
 from ..capture.rectify import filled
+from ..errors import ConfigError
 from ..render import Renderer
 from . import losses
 from .config import FitConfig, HierarchicalConfig
@@ -64,11 +65,13 @@ class FitTask(Generic[Config]):
             asked = config.stationary
         elif not isinstance(config, GanConfig) or config.begins != "solved":
             return None
-        if config.fix or config.grey_specular or self.capture.resolution == 1:
-            return None
-        if len(self.capture) > 1 or self.capture.measured is not None or config.bsdf != "roughconductor":
-            return None
-        return repeats(self.capture, asked)
+        whole = len(self.capture) == 1 < self.capture.resolution and self.capture.measured is None
+        if whole and config.bsdf == "roughconductor" and not (config.fix or config.grey_specular):
+            return repeats(self.capture, asked)
+        if asked:
+            raise ConfigError("one whole photo and all maps of roughconductor to fit, beside --stationary",
+                              "several or masked photos, or fewer maps", "leave --stationary out")
+        return None
 
     @property
     def of_looks(self) -> bool:

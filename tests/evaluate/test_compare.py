@@ -15,7 +15,8 @@ from helpers import ANALYTIC, GRID, photos_of
 
 from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture, write_capture
-from mitsvbrdf.evaluate.photos import Entry, compare, fitted_views
+from mitsvbrdf.evaluate.photos import Entry, compare
+from mitsvbrdf.evaluate.placement import fitted_views
 from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material

@@ -6,12 +6,16 @@ from dataclasses import replace
 import pytest
 import torch
 
-from mitsvbrdf.capture import Capture
+from mitsvbrdf.capture import Capture, read_capture
 from mitsvbrdf.color import to_display
+from mitsvbrdf.errors import ConfigError
+from mitsvbrdf.evaluate.placement import named_views
 from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HierarchicalConfig, fit_svbrdf, make_method
+from mitsvbrdf.fit.diagnose import about_views, views_record
 from mitsvbrdf.fit.look_classes import LookClasses, Pixels, Posterior, material
 from mitsvbrdf.fit.one_photo import OnePhoto, nodes
 from mitsvbrdf.fit.repeats import repeats, unlike
+from mitsvbrdf.io.images import write_png
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.measure.metrics import map_rmse
 from mitsvbrdf.render import make_renderer
@@ -97,6 +101,8 @@ def test_asked_for_or_not_the_method_follows(tmp_path):
     assert not FitTask(photo, renderer, HierarchicalConfig(stationary=False)).repeats.stationary
     for config in (HierarchicalConfig(fix=("roughness=0.5",)), HierarchicalConfig(bsdf="principled")):
         assert FitTask(photo, renderer, config).repeats is None
+        with pytest.raises(ConfigError, match="--stationary"):
+            fit_svbrdf(photo, renderer, replace(config, stationary=True))
 
 
 def test_gan_has_no_game_of_one_photo_and_ends_with_its_looks(monkeypatch):
@@ -109,6 +115,15 @@ def test_gan_has_no_game_of_one_photo_and_ends_with_its_looks(monkeypatch):
     assert all(torch.equal(value, gan.svbrdf[name]) for name, value in looks.svbrdf.maps.items())
     assert gan.record["repeats"] == looks.record["repeats"] and gan.method == "gan"
     assert any(each.what == "the game" for each in gan.omitted)
+
+
+def test_a_photo_is_rendered_from_where_the_fit_found_the_camera(tmp_path):
+    write_png(tmp_path / "a.png", photo_of(torch.rand(32, 32)).photo(0))
+    fit = fit_svbrdf(read_capture(tmp_path / "a.png"), make_renderer("analytic"), DirectConfig(iterations=1))
+    moved = fit.views.carried(torch.tensor([0.1, 0.0, 0.1]))
+    assert torch.equal(named_views(str(tmp_path / "a.png"), "inverse-square", fit.but(views=moved))[1].camera,
+                       moved.camera)
+    assert "refined" in about_views(views_record(fit.known["shots"], moved, None, None, None))
 
 
 @pytest.mark.parametrize("config", [HierarchicalConfig(stationary=True, iterations=1),
