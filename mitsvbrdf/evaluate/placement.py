@@ -91,8 +91,7 @@ def named_views(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[
     if source.startswith("builtin:"):
         raise CaptureError("a capture folder or builtin:grid", source, "check --views")
     read = read_capture(Path(source), falloff=falloff)
-    fit = fit or Fit()
-    shots = placed(read, fit)
+    shots = placed(read, fit := fit or Fit())
     views = shots.views if shots.calibrated or fit.estimated else fitted_views(fit, shots)[0]
     return list(shots.names), views, list(shots.notes[len(read.notes):])
 

@@ -50,8 +50,7 @@ def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
     chosen = {key.removesuffix(f" {normal}"): file for key, file in FILE_NAMES[naming].items()}
     textures = write_pngs(folder, {
         key: (f"{file.replace('NAME', _safe(settings.name))}.png", both[key],
-              16 if key == "height" else settings.bits)
-        for key, file in chosen.items()
+              16 if key == "height" else settings.bits) for key, file in chosen.items()
         if key in both and not (key == "specular_level" and svbrdf.bsdf == "principled")}, normal)
     written = [replace(texture, holds=holds.get(key, key)) for key, texture in textures.items()]
     if naming in ("own", "materialgan"):  # names that load_maps knows
@@ -71,6 +70,8 @@ def _strip(folder: Path, svbrdf: SVBRDF, settings: ExportSettings) -> Export:
                for name in DESCHAINTRE]
     images.write_png(folder / file, torch.cat([square.expand(-1, -1, 3) for square in squares], dim=1),
                      settings.bits)
+    files.write_json(folder / "material.json", {"bsdf": "roughconductor", "encoding": dict.fromkeys(
+        DESCHAINTRE, LINEAR) | {"normal": NORMALS[settings.normal]}})
     holds = f"{', '.join(DESCHAINTRE)} side by side"
     return Export((file,), (Texture(file, holds, LINEAR, settings.bits, NORMALS[settings.normal]),))
 

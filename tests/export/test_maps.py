@@ -18,6 +18,7 @@ from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.material.naming import FILE_NAMES
 from mitsvbrdf.material.relief import heights
 from mitsvbrdf.render.analytic import AnalyticRenderer
+from mitsvbrdf.testing import random_material
 from mitsvbrdf.views import Views
 
 DERIVED = ("occlusion", "occlusion in R, roughness in G, metallic in B")
@@ -103,11 +104,11 @@ def test_blender_knows_the_files_by_their_names(naming, tmp_path):
         assert meanings == {texture["holds"].split()[0].rstrip(",")}, texture["file"]
 
 
-@pytest.mark.parametrize("naming", ["own", "materialgan", "deschaintre"])
-def test_exported_maps_are_read_again(material, naming, tmp_path):
-    export_material(material, tmp_path, ["maps"], settings=ExportSettings(naming=naming))
-    found = load_maps(tmp_path / "maps")
-    wanted = material if naming == "own" else material.as_roughconductor()
+@pytest.mark.parametrize("naming, normal", zip(("own", "materialgan", "deschaintre") * 2, ("gl", "dx") * 3))
+def test_exported_maps_are_read_again(material, naming, normal, tmp_path):
+    material = random_material(material.bsdf, 32)
+    export_material(material, tmp_path, ["maps"], settings=ExportSettings(naming=naming, normal=normal))
+    found, wanted = load_maps(tmp_path), material if naming == "own" else material.as_roughconductor()
     assert found.bsdf == wanted.bsdf
     for name, value in wanted.maps.items():
         assert (found[name] - value).abs().max() < 3e-5  # steps of 16 bits
