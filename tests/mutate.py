@@ -76,8 +76,7 @@ def broken(mutation: Mutation | None, folder: Path) -> Path:
         text = path.read_text()
         if text.count(mutation.right) != 1:
             raise SystemExit(f"{mutation.name}: {mutation.right!r} stands {text.count(mutation.right)} "
-                             "times in "
-                             f"{mutation.file}, expected once; adapt the mutation")
+                             f"times in {mutation.file}, expected once; adapt the mutation")
         path.write_text(text.replace(mutation.right, mutation.wrong))
     return folder
 

@@ -109,9 +109,8 @@ def test_what_the_first_pages_make_is_not_taken_for_source(name):
     page = (ROOT / name).read_text()
     made = re.findall(r"(?: -o | --html )(\S+)", "\n".join(commands(ROOT / name)))
     made += re.findall(r'(?:write_fit\(.*|save_maps\(.*|write_report\(.*)"([\w-]+)"\)', page)
-    done = subprocess.run(["git", "check-ignore", "--no-index",
-                           *(f"{each}/" if "." not in each else each for each in made)],
-                          cwd=ROOT, capture_output=True, text=True)
+    done = subprocess.run(["git", "check-ignore", "--no-index", *(
+        f"{each}/" if "." not in each else each for each in made)], cwd=ROOT, capture_output=True, text=True)
     assert [each for each in made if each not in [line.rstrip("/") for line in done.stdout.split()]] == []
     assert made or name == "docs/index.md"
 

@@ -135,9 +135,8 @@ def counted(library: Path) -> dict:
 
 def different_maps(one: Path, other: Path) -> list[str]:
     """Maps of a library that are not the same to the byte in another one, or are missing there."""
-    return [str(path.relative_to(one)) for path in sorted(one.glob("*/maps/*"))
-            if not (twin := other / path.relative_to(one)).is_file()
-            or path.read_bytes() != twin.read_bytes()]
+    return [str(path.relative_to(one)) for path in sorted(one.glob("*/maps/*")) if not (
+        twin := other / path.relative_to(one)).is_file() or path.read_bytes() != twin.read_bytes()]
 
 
 def main() -> None:

@@ -95,8 +95,7 @@ def test_strangers_names_are_text(tmp_path):
     rows = random_rows(len(HOSTILE))
     for row, name in zip(rows, HOSTILE):
         row |= {"name": name, "state": "failed", "reason": name, "tags": [name], "source": name,
-                "options": name,
-                "preview": None, "report": None, "log": None}
+                "options": name, "preview": None, "report": None, "log": None}
     write_page(tmp_path, rows, title=HOSTILE[1])
     with opened(tmp_path / "index.html", beside=True) as page:
         assert page.evaluate(NAMES) == HOSTILE and page.title() == HOSTILE[1]

@@ -45,9 +45,8 @@ def test_a_run_that_was_stopped_anywhere_continues_with_the_same_records(task, t
     records = measured(task, path)
     assert path.read_bytes().startswith(first) and read_records(path) == records
     # `direct` is the same from every seed; methods take turns
-    assert [(r["seed"], r["budget"], r["method"]) for r in records] == [
-        (s, b, m) for s, names in ((0, ("direct", "hybrid")), (1, ("hybrid",))) for b in (0.1, 0.2)
-        for m in names]
+    assert [(r["seed"], r["budget"], r["method"]) for r in records] == [(s, b, m) for s, names in (
+        (0, ("direct", "hybrid")), (1, ("hybrid",))) for b in (0.1, 0.2) for m in names]
     before = path.read_bytes()
     assert measured(task, path) == records and path.read_bytes() == before
     assert len({identity(r) for r in records}) == 6

@@ -87,9 +87,8 @@ def test_wrong_maps_make_it_less_sure():
     # pixel.
     material, views = make_material("inlay", 64), GRID.pick([0, 3])
     shots = photos_from(material, views, drawn(2, 0))
-    specks = torch.nn.functional.interpolate(0.1 * torch.randn(2, 3, 8, 8,
-                                                               generator=torch.Generator().manual_seed(0)),
-                                             64)
+    specks = torch.nn.functional.interpolate(0.1 * torch.randn(
+        2, 3, 8, 8, generator=torch.Generator().manual_seed(0)), 64)
     spoilt = replace(shots, photos=(shots.photos + specks.permute(0, 2, 3, 1)).clamp(0, 1))
     right, wrong = (refine_views(material, views, s) for s in (shots, spoilt))
     assert bool((wrong.deviation > right.deviation).all())

@@ -76,9 +76,8 @@ def test_masks_and_single_pixels_turn_along_and_do_not_tell():
     measured = torch.ones(right.photos.shape[:3], dtype=torch.bool)
     measured[2, :40] = False
     right = replace(right, measured=measured, single=right.photos[:, ::4, ::4])
-    turned = {name: torch.stack([laid(kept[None], 2)[0] if n == 2 else kept
-                                 for n, kept in enumerate(getattr(right, name))])
-              for name in ("photos", "measured", "single")}
+    turned = {name: torch.stack([laid(kept[None], 2)[0] if n == 2 else kept for n, kept in enumerate(
+        getattr(right, name))]) for name in ("photos", "measured", "single")}
     found = laid_alike(replace(right, **turned))
     assert all(torch.equal(getattr(found, name), getattr(right, name)) for name in turned)
 

@@ -35,8 +35,7 @@ LIMITS = {
     "three.js, USD": "it doubles normals (takes the texture's scale for normalScale) and reads no texture "
                      "of the index",
     "Blender, USD": "its importer reads no coloured F0",
-    "Blender, maps": "no F0 above 0.08, and no coloured one: Specular IOR Level ends at 1",
-}
+    "Blender, maps": "no F0 above 0.08, and no coloured one: Specular IOR Level ends at 1"}
 
 
 def _job(folder: Path, resolution: int) -> dict:

@@ -125,9 +125,8 @@ def test_khronos_validator_has_nothing_to_say(material, tmp_path):
     if not node or subprocess.run([node, "-e", "require('gltf-validator')"], capture_output=True).returncode:
         pytest.skip("needs node and the npm package gltf-validator on NODE_PATH")
     write_gltf(tmp_path, material)
-    code = ("require('gltf-validator').validateBytes(new "
-            "Uint8Array(require('fs').readFileSync(process.argv[1])))"
-            ".then(report => console.log(JSON.stringify(report.issues)))")
+    code = ("require('gltf-validator').validateBytes(new Uint8Array(require('fs').readFileSync("
+            "process.argv[1]))).then(report => console.log(JSON.stringify(report.issues)))")
     done = subprocess.run([node, "-e", code, str(tmp_path / "material.glb")], capture_output=True, text=True,
                           check=True)
     assert json.loads(done.stdout)["messages"] == []

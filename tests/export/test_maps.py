@@ -65,18 +65,15 @@ def test_maps_are_what_export_json_says(material, naming, bits, normal, tmp_path
 def test_names_are_those_of_the_libraries(tmp_path):
     names = {
         "polyhaven": {"Old_brick_diff", "Old_brick_metal", "Old_brick_rough", "Old_brick_nor_gl",
-                      "Old_brick_spec",
-                      "Old_brick_disp", "Old_brick_ao", "Old_brick_arm"},
+                      "Old_brick_spec", "Old_brick_disp", "Old_brick_ao", "Old_brick_arm"},
         "ambientcg": {"Old_brick_Color", "Old_brick_Metalness", "Old_brick_Roughness", "Old_brick_NormalGL",
                       "Old_brick_Specular", "Old_brick_Displacement", "Old_brick_AmbientOcclusion"},
         "substance": {"Old_brick_BaseColor", "Old_brick_Metallic", "Old_brick_Roughness",
-                      "Old_brick_Normal_OpenGL",
-                      "Old_brick_SpecularLevel", "Old_brick_Height", "Old_brick_AmbientOcclusion",
-                      "Old_brick_ORM"},
+                      "Old_brick_Normal_OpenGL", "Old_brick_SpecularLevel", "Old_brick_Height",
+                      "Old_brick_AmbientOcclusion", "Old_brick_ORM"},
         "materialgan": {"dif", "spe", "rgh", "nom"},
         "own": {"diffuse", "specular", "base_color", "metallic", "roughness", "normal", "specular_level",
-                "height", "occlusion",
-                "occlusion_roughness_metallic"}}
+                "height", "occlusion", "occlusion_roughness_metallic"}}
     for naming, expected in names.items():
         export_material(flat(4), tmp_path / naming, ["maps"], settings=ExportSettings("Old brick!", naming))
         assert {path.stem for path in (tmp_path / naming / "maps").glob("*.png")} == expected

@@ -96,9 +96,8 @@ def test_a_strong_specular_that_hardly_anything_determines(rows, columns, place,
     spread = torch.full((SIDE, SIDE, 3), 0.01)
     spread[rows, columns] = 0.2
     share = 1 - (rows.stop - rows.start) * (columns.stop - columns.start) / SIDE**2
-    (said,) = [warning
-               for warning in fit_warnings(with_maps(fitted, spread=spread, diffuse=0.2, specular=0.28),
-                                           leather) if warning.startswith("median specular")]
+    (said,) = [warning for warning in fit_warnings(with_maps(
+        fitted, spread=spread, diffuse=0.2, specular=0.28), leather) if warning.startswith("median specular")]
     assert f"of 0.28, {share:.0%} of it determined" in said and f"highlight {place}," in said
 
 

@@ -165,8 +165,7 @@ def folders() -> Drawn[Case]:
               "guess ../in/capture -o ../in/guessed --resolution 16 --overwrite",
               "guess ../in/capture -o ../in/guessed --resolution 16")
     fresh = of("work/out", "capture maps", "00.png 00.exr", "render ../in/maps -o out --renderer analytic "
-                                                            "--overwrite",
-               "guess ../in/capture -o out --resolution 16")
+               "--overwrite", "guess ../in/capture -o out --resolution 16")
     written = "fit.json report.html report.json photos photos/00.png maps maps/diffuse.exr sheet.png"
     fitted = of("in/fit", "capture fit", written, f"fit ../in/capture -o ../in/fit --overwrite {FIT}",
                 "report ../in/fit --quick", "report ../in/fit --quick --capture ../in/capture")
@@ -176,10 +175,9 @@ def folders() -> Drawn[Case]:
 def relights() -> Drawn[Case]:
     """What `relight` goes on from, and the light of its scenes."""
     path = "in/relit/relight.json"
-    ways = st.one_of(stated(path), stated(path),
-                     replaced(path, *(f"in/relit/{name}" for name in ("sphere.exr", ".partial",
-                                                                      ".mitsvbrdf"))),
-                     change("state", path=path, steps=st.just([2, 0, 1, 0, 1]), raw=names.map(json.dumps)))
+    ways = st.one_of(stated(path), stated(path), replaced(path, *(
+        f"in/relit/{name}" for name in ("sphere.exr", ".partial", ".mitsvbrdf"))), change(
+            "state", path=path, steps=st.just([2, 0, 1, 0, 1]), raw=names.map(json.dumps)))
     light = st.sampled_from(("in/exr/diffuse.exr", "in/exr/light.hdr"))
     lit = f"relight ../in/fit -o out --explain {RELIT} --environment ../"
     return st.one_of(
@@ -258,9 +256,8 @@ def options(known: dict[str, tuple[str, ...]]) -> Drawn[Case]:
         pair = st.tuples(option, value)
         several = st.lists(st.one_of(pair, pair, st.tuples(option)), min_size=1, max_size=2)
         return st.builds(Case, group=st.just("option"), parts=st.just(tuple(parts.split())),
-                         changes=st.just(()),
+                         changes=st.just(()), lasting=st.just(True),
                          arguments=several.map(lambda each: (*call.split(), *itertools.chain(*each))),
-                         lasting=st.just(True),
                          out=st.just("in/fit" if call.startswith("report") else "work"))
 
     parts = "capture plain maps exr fit library bench"

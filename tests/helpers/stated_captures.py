@@ -22,8 +22,7 @@ def save(folder, images, suffix=".png"):
 def json_capture(folder, images=None, **changes):
     save(folder / "target", photos() if images is None else images)
     stated = {"target_dir": "target", "im_size": 6.848, "idx": [0, 1, 2], "camera_pos": CAMERA,
-              "light_pos": LIGHT,
-              "light_pow": [1500.0, 1400.0, 1300.0]} | changes
+              "light_pos": LIGHT, "light_pow": [1500.0, 1400.0, 1300.0]} | changes
     stated = {key: value for key, value in stated.items() if value is not ...}
     (folder / "capture.json").write_text(json.dumps(stated))
     return folder

@@ -13,9 +13,8 @@ from mitsvbrdf.report.viewer import viewer_html
 
 
 def changed(svbrdf: SVBRDF, **maps) -> SVBRDF:
-    return SVBRDF(svbrdf.bsdf, dict(svbrdf.maps)
-                  | {name: torch.as_tensor(value).expand_as(svbrdf[name]).clone()
-                     for name, value in maps.items()})
+    return SVBRDF(svbrdf.bsdf, dict(svbrdf.maps) | {
+        name: torch.as_tensor(value).expand_as(svbrdf[name]).clone() for name, value in maps.items()})
 
 
 @contextmanager

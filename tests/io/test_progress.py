@@ -81,9 +81,8 @@ def test_a_bar_on_a_terminal_shows_names_as_they_are():
 
 
 def test_on_a_terminal_one_live_line():
-    said = on_a_terminal("from mitsvbrdf.io.progress import Progress\n"
-                         f"with Progress('a fit') as report:\n    report({ENTRY}, 0.25)\n    "
-                         f"report({ENTRY}, 1.0)\n")
+    said = on_a_terminal("from mitsvbrdf.io.progress import Progress\nwith Progress('a fit') as report:\n"
+                         f"    report({ENTRY}, 0.25)\n    report({ENTRY}, 1.0)\n")
     assert "a fit" in said and "100%" in said and "rmse 0.1250" in said
     # the cursor is hidden, and shown again
     assert "\x1b[?25l" in said and said.rindex("\x1b[?25h") > said.rindex("100%")

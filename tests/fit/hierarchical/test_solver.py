@@ -110,10 +110,9 @@ class Twin:
     def step(self, x, damping):
         """One Levenberg-Marquardt step from x, whether it is an improvement or not."""
         slope, curve = self.normal_equations(x)
-        x, low, high, precision, mean = (t.double() for t in (x.permute(1, 2, 0), self.case.low,
-                                                              self.case.high,
-                                                             self.case.precision.permute(1, 2, 0),
-                                                             self.case.mean.permute(1, 2, 0)))
+        x, low, high, precision, mean = (t.double() for t in (
+            x.permute(1, 2, 0), self.case.low, self.case.high, self.case.precision.permute(1, 2, 0),
+            self.case.mean.permute(1, 2, 0)))
         down = precision * (mean - x) - slope
         stuck = (x <= low) & (down < 0) | (x >= high) & (down > 0)
         curve = curve + torch.diag_embed(precision)

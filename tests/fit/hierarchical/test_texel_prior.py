@@ -151,9 +151,8 @@ def test_texels_may_go_as_far_as_they_went(went, normal, specular, capture):
     sign = torch.where(torch.rand(free.x.shape, generator=torch.Generator().manual_seed(1)) < 0.5, -1.0, 1.0)
     loose = method.prior.loosen(free._replace(x=free.mean + sign * went), torch.full_like(free.x, unknown**2))
     deviation = deviations_of(method, loose)
-    assert deviation["normal"] == pytest.approx(normal,
-                                                rel=1e-4) and deviation["specular"] == pytest.approx(specular,
-                                                                                                     rel=1e-4)
+    assert deviation["normal"] == pytest.approx(normal, rel=1e-4)
+    assert deviation["specular"] == pytest.approx(specular, rel=1e-4)
     assert deviation["diffuse"] == pytest.approx(VAGUE["diffuse"])
 
 
