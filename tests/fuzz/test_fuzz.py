@@ -53,7 +53,7 @@ def test_what_failed_once_holds(campaign):
 @pytest.mark.slow
 @pytest.mark.parametrize("group", GROUPS)
 def test_no_input_breaks_the_rules(group, campaign, capsys):
-    tally = campaign.run_all(campaign.group(group))
+    tally = campaign.run_all(campaign.group(group)[::4])  # all of them: python -m fuzz all
     with capsys.disabled():
         print(f"\nfuzz, {group}: {tally}")
     assert not tally.failed, str(tally)
