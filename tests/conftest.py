@@ -12,6 +12,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
 if "PYTEST_XDIST_WORKER" in os.environ:
     os.environ.setdefault("OMP_NUM_THREADS", "1")  # the workers share the cores
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -42,6 +43,24 @@ def data_folder() -> Path:
     if not (folder / "captures").is_dir():
         pytest.skip(f"needs the real captures: none at {folder}; name their folder in MITSVBRDF_DATA")
     return folder
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_thread_a_worker() -> None:
+    """Workers share the cores: a second thread of Dr.Jit waits for the other one."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        import drjit
+        drjit.set_thread_count(1)
+
+
+@pytest.fixture
+def two_threads() -> Iterator[None]:
+    """Mitsuba loads the parts of a file beside each other; with one thread it waits for ever."""
+    import drjit
+    before = drjit.thread_count()
+    drjit.set_thread_count(2)
+    yield
+    drjit.set_thread_count(before)
 
 
 @pytest.fixture(scope="session", autouse=True)

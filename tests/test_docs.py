@@ -154,7 +154,7 @@ def test_evaluation_page_commands(photos):
     run_shortened(commands(ROOT / "docs/evaluation.md"))
 
 
-def test_python_of_the_export_page(photos):
+def test_python_of_the_export_page(photos, two_threads):
     """It loads the exported material into Mitsuba."""
     import mitsuba as mi
 

@@ -8,7 +8,7 @@ from mitsvbrdf.export import export_material
 from mitsvbrdf.render.analytic import AnalyticRenderer
 
 
-def test_mitsuba_renders_the_scene_and_its_material_as_the_float64_twin(material, tmp_path):
+def test_mitsuba_renders_the_scene_and_its_material_as_the_float64_twin(material, tmp_path, two_threads):
     from mitsvbrdf.render.llvm import mitsuba_module
 
     mi, views = mitsuba_module(), GRID.pick([3])

@@ -146,7 +146,7 @@ def test_what_is_omitted_is_said_as_it_is(mi):
 
 
 @pytest.mark.parametrize("path", sorted(SCENES.glob("*.xml")), ids=lambda path: path.name)
-def test_scene_files_open_in_plain_mitsuba(mi, path):
+def test_scene_files_open_in_plain_mitsuba(mi, path, two_threads):
     scene = mi.load_file(str(path))
     assert scene.emitters()
     if path.name != "sunsky.xml":
