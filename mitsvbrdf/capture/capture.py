@@ -133,8 +133,10 @@ class Capture:
             raise ConfigError(f"a calibration of {get_args(Calibration)}", repr(self.calibration),
                               "choose one of these")
         self.views.check()
-        object.__setattr__(self, "views", replace(self.views, **{
-            name: getattr(self.views, name).detach() for name in ("camera", "light", "intensity")}))
+        parts = {name: getattr(self.views, name) for name in ("camera", "light", "intensity")}
+        if any(part.requires_grad for part in parts.values()):
+            object.__setattr__(self, "views", replace(
+                self.views, **{name: part.detach() for name, part in parts.items()}))
         if len(self) != len(self.views):
             raise CaptureError(f"a view for each of {len(self)} photos",
                                f"{len(self.views)} views", "give one row of calibration a photo")
