@@ -2,17 +2,22 @@
 
 ``python docs/results/benchmark.py`` makes benchmark.md and benchmark.svg from benchmark.json; with
 ``measure`` behind it the fits are measured first (two hours; MITSVBRDF_DATA names the photos; a run that
-stopped continues).
+stopped continues), with ``sizes`` seconds and memory from 64 to 4096 px (one hour).
 """
 
 import json
+import os
 import statistics
+import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pandas as pd
 import torch
+from matplotlib.figure import Figure
 
 from mitsvbrdf import SVBRDF, evaluate_capture, make_renderer
 from mitsvbrdf.bench.plot import plot, svg
@@ -28,6 +33,7 @@ MADE = ["builtin:inlay", "builtin:tiles", "builtin:leather", "builtin:plates"]
 MAPS = ["diffuse", "specular", "roughness", "normal", "mean"]
 PEERS = "peers-baseline"
 STEPS = 1000  # of the peers' baseline
+SIDES = [64, 128, 256, 512, 1024, 2048, 4096]
 
 
 def of_one(records: list, kind: str, held_out: list) -> list:
@@ -93,6 +99,14 @@ def renderers(cases: list) -> pd.DataFrame:
     return pd.DataFrame.from_dict(rows, orient="index").fillna("no memory")
 
 
+def size_table(sizes: list) -> pd.DataFrame:
+    """Seconds and memory of whole commands by texels a side."""
+    rows = {f"{r['side']} px": [f"{r['loop']:.0f}", f"{r['fit']['seconds']:.0f}", f"{r['fit']['GiB']:.2f}",
+                                f"{r['photos']:.4f}", r["stopped"]] for r in sizes}
+    return pd.DataFrame.from_dict(rows, orient="index", columns=[
+        "loop, s", "`fit`, s", "`fit`, GiB", "RMSE of the photos", "ended"])
+
+
 def groups(records: list) -> list:
     """Eight captures by held-out and by seen photos."""
     return list(judged(of_one(records, "capture", [7, 8])))
@@ -154,6 +168,15 @@ RMSE of maps encoded to 0 to 1, from nine exact 8-bit photos, by the default.
 
 The process is warm. Before the loop comes the guessed diffuse map, after it the uncertainty of the maps.
 
+## Seconds and memory by size
+
+{as_markdown(size_table(record["sizes"]))}
+
+![Seconds and memory against texels](benchmark-size.svg)
+
+Whole commands, one after the other, on nine exact 8-bit photos of made inlaid wood (two cores, half as \
+fast as those above). The loop ends by itself or after 120 s, at 2048 px after 240 s.
+
 ## Renderers
 
 Seconds forward and backward; mean relative error of the image / relative L2 of the worst gradient, against \
@@ -174,6 +197,24 @@ def figure(record: dict):
             axes.axhline(error, color="0.4", linewidth=1, linestyle=look, label=who)
         axes.legend(fontsize=7)
     return drawn
+
+
+def size_figure(sizes: list) -> Figure:
+    """Seconds, both axes in powers, and peak memory of ``fit`` against texels a side."""
+    drawing = Figure(figsize=(7, 2.8), layout="constrained")
+    time_axes, memory_axes = drawing.subplots(1, 2)
+    sides = [r["side"] for r in sizes]
+    time_axes.loglog(sides, [r["fit"]["seconds"] for r in sizes], "o-", label="command")
+    time_axes.loglog(sides, [r["loop"] for r in sizes], "x-", label="loop")
+    time_axes.set_yticks(ticks := [10, 30, 100, 300, 1000], ticks)
+    time_axes.legend(fontsize=8)
+    memory_axes.semilogx(sides, [r["fit"]["GiB"] for r in sizes], "o-")
+    memory_axes.set_ylim(0)
+    for axes, label in ((time_axes, "seconds"), (memory_axes, "peak memory, GiB")):
+        axes.set_xticks(sides, sides, rotation=45)
+        axes.minorticks_off()
+        axes.set(xlabel="texels a side", ylabel=label)
+    return drawing
 
 
 def peers_baseline(photos, renderer, budgets: list) -> list[tuple[float, int, SVBRDF]]:
@@ -252,11 +293,41 @@ def measure(lines: Path) -> list:
     return records + fitted(others, eight, [LONGEST])
 
 
+def command(*words: object) -> dict[str, float]:
+    """Seconds and peak memory of one run of the program."""
+    begun = time.perf_counter()
+    child = subprocess.Popen(["mitsvbrdf", *map(str, words)], stdout=subprocess.DEVNULL)
+    _, status, used = os.wait4(child.pid, 0)
+    if status:
+        raise SystemExit(f"mitsvbrdf {words[0]} failed")
+    return {"seconds": time.perf_counter() - begun, "GiB": used.ru_maxrss / 2**20}
+
+
+def sizes() -> Iterator[dict]:
+    """Seconds and memory of whole commands by size."""
+    for side in SIDES:
+        print(side, flush=True)
+        with TemporaryDirectory() as place:
+            photos, out = Path(place, "photos"), Path(place, "out")
+            synth = command("synth", "builtin:inlay", "--resolution", side, "-o", photos)
+            fit = command("fit", photos, "-o", out, "--resolution", side)
+            found = json.loads((out / "fit.json").read_text())
+        yield {"side": side, "synth": synth, "fit": fit, "loop": found["trace"][-1]["seconds"],
+               "photos": found["rerender_rmse"], "stopped": found["stopped"],
+               "version": found["versions"]["mitsvbrdf"]}
+
+
 if __name__ == "__main__":
     file = HERE / "benchmark.json"
     content = json.loads(file.read_text())
     if sys.argv[1:] == ["measure"]:
         content["records"] = measure(file.with_suffix(".jsonl"))
         file.write_text(json.dumps(content))
+    elif sys.argv[1:] == ["sizes"]:
+        content["sizes"] = []
+        for found in sizes():
+            content["sizes"].append(found)
+            file.write_text(json.dumps(content))
     (HERE / "benchmark.md").write_text(page(content))
     (HERE / "benchmark.svg").write_bytes(svg(figure(content)))
+    (HERE / "benchmark-size.svg").write_bytes(svg(size_figure(content["sizes"])))
