@@ -165,9 +165,13 @@ def one_photo(record: dict) -> pd.DataFrame:
 
 def one_photo_detail(record: dict) -> pd.DataFrame:
     """Patches, new light and mean error of the maps of one photo, without and with plausible detail."""
-    rows = {r["name"]: [f"{r['maps'][name]:.{digits}f} → {r['detail'][name]:.{digits}f}"
-                        for name, digits in (("patches", 4), ("novel_light", 3), ("mean", 3))]
-            for r in record["one_photo_detail"]}
+    seeds: dict[str, list] = {}
+    for r in record["one_photo_detail"]:
+        seeds.setdefault(r["name"], []).append(r)
+    rows = {name: [" → ".join(f"{median(r[which][of_it] for r in found):.{digits}f}"
+                              for which in ("maps", "detail"))
+                   for of_it, digits in (("patches", 4), ("novel_light", 3), ("mean", 3))]
+            for name, found in seeds.items()}
     return pd.DataFrame.from_dict(rows, orient="index", columns=["patches", "new light", "maps"])
 
 
@@ -354,7 +358,7 @@ def patch_distance(one, other) -> float:  # noqa: ANN001
     return float((one - other).abs().mean())
 
 
-def detail_of_one_photo(folders: list[Path], renderer) -> Iterator[dict]:
+def detail_of_one_photo(folders: list[Path], renderer, seed: int) -> Iterator[dict]:
     """Pictures and maps of those that repeat themselves, before and after the game."""
     import math
     import subprocess
@@ -371,13 +375,13 @@ def detail_of_one_photo(folders: list[Path], renderer) -> Iterator[dict]:
             out = Path(place, "out")
             write_capture(task.photos, Path(place, "photo"))
             subprocess.run(["mitsvbrdf", "fit", Path(place, "photo"), "-o", out, "--budget", "600",
-                            "--detail", "gan"], check=True)
+                            "--detail", "gan", "--seed", str(seed)], check=True)
             if not Fit.load(out).record["repeats"]["stationary"]:
                 continue
             found = {"maps": load_maps(out / "maps"), "detail": load_maps(out / "detail")}
         truth, *shown = (renderer.render(maps, new).clamp(0, 1) ** (1 / 2.2)
                          for maps in (task.truth.resized(128), *found.values()))
-        yield {"name": folder.name, **{
+        yield {"name": folder.name, "seed": seed, **{
             name: {"patches": patch_distance(pictures, truth),
                    "novel_light": float((pictures - truth).square().mean().sqrt()),
                    "mean": task.errors(maps, lambda photos: 0.0)["mean"]}
@@ -455,7 +459,9 @@ def measure_detail(record: dict) -> dict:
     from mitsvbrdf.bench.tasks import data_folder
 
     strips = sorted((data_folder() / "one-photo/known").iterdir())
-    return {**record, "one_photo_detail": list(detail_of_one_photo(strips, make_renderer("mitsuba")))}
+    renderer = make_renderer("mitsuba")
+    return {**record, "one_photo_detail": [row for seed in range(3)
+                                           for row in detail_of_one_photo(strips, renderer, seed)]}
 
 
 def measure_stages(record: dict) -> dict:
