@@ -242,10 +242,10 @@ game on crops in `--detail gan` |
 
 {as_markdown(one_photo_detail(record))}
 
-Maps of the looks → with `fit --detail gan` (128 px), whose discriminator compares crops of the photo with \
-renderings under the same flash at other places. *Patches* is the sliced Wasserstein distance of patches of \
-pictures under three new lights to those of the true maps. Detail is for pictures; the maps stay those of \
-the looks.
+Maps of the looks → with `fit --detail gan` (128 px, median of three seeds), whose discriminator compares \
+crops of the photo with renderings under the same flash at other places. *Patches* is the sliced \
+Wasserstein distance of patches of pictures under three new lights to those of the true maps. Detail is for \
+pictures; the maps stay those of the looks.
 
 {as_markdown(two_stages(record))}
 
