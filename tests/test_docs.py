@@ -220,7 +220,8 @@ def test_architecture_shows_the_law_and_files_that_are_there():
 
 
 def test_formats_page_names_every_field_of_fit_json(photos):
-    fit = fit_svbrdf(read_capture("photos"), make_renderer("analytic"), DirectConfig(iterations=1))
+    fit = fit_svbrdf(read_capture("photos", resolution=16), make_renderer("analytic"),
+                     DirectConfig(iterations=1))
     page = (ROOT / "docs/formats.md").read_text()
     for field in fit.record:
         assert f"`{field}`" in page, field
