@@ -34,6 +34,7 @@ def judged(record: dict) -> tuple[bool, str]:
     if record["stopped"] == "interrupted":
         return False, f"Look at this: the fit was interrupted, and these are the best maps until then; {met}."
     if record["warnings"]:
-        rest = f" ({more} more below)" if (more := len(record["warnings"]) - 1) else ""
+        more = len(record["warnings"]) - 1
+        rest = f" ({more} more below)" if more else ""
         return False, f"Look at this: {record['warnings'][0].rstrip('.')}{rest}. {met[0].upper()}{met[1:]}."
     return True, f"No check found a fault in these maps; {met}."
