@@ -157,6 +157,8 @@ WRONG = {
     "another calibration": lambda: mv.Capture(GREY, GRID, calibration="x"),
     "a mask of numbers": lambda: mv.Capture(GREY, GRID, measured=GREY[..., 0].byte()),
     "a mask of other photos": lambda: mv.Capture(GREY, GRID, measured=GREY[..., :1] > 0),
+    "a mask that hides all": lambda: mv.Capture(GREY, GRID, measured=GREY[..., 0] < 0),
+    "one texel for a traced scene": lambda: mv.make_renderer("mitsuba-scene").render(flat(1), GRID),
     "another transfer": lambda: mv.Capture(GREY, GRID, "x"),
     "numbers for fewer photos": lambda: mv.Capture(GREY, GRID, index=(0, 1)),
     "a number for two photos": lambda: mv.Capture(GREY, GRID, index=(0, 0, 1, 2, 3, 4, 5, 6, 7)),

@@ -203,9 +203,8 @@ def _numbered(folder: Path) -> dict[int, Path]:
         if not path.stem.isdecimal():
             continue
         if int(path.stem) in paths:
-            raise CaptureError("one photo of each number",
-                               f"{paths[int(path.stem)].name} and {path.name} in {folder}",
-                               "remove one of them")
+            raise CaptureError("one photo of each number", f"{paths[int(path.stem)].name} and {path.name} "
+                               f"in {folder}", "remove one of them")
         paths[int(path.stem)] = path
     if not paths:
         raise CaptureError("photos 00.png or 00.jpg, ...", f"none in {folder}",

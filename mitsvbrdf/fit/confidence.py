@@ -62,8 +62,7 @@ def deviations(svbrdf: SVBRDF, views: Views, task: FitTask,
     alone, alike, wrong, values = _stated(own, mixture), Deviations(), own.refused, own.values
     if basis is not None and len(shared):
         member = membership(appearance_of(sampled, some(task.guess)), basis, task.config.similarity)
-        alike = _stated(own, with_look_alikes(mixture, shared, member, len(capture),
-                                              own.answer.flatten(1).T))
+        alike = _stated(own, with_look_alikes(mixture, shared, member, len(capture), own.answer.flatten(1).T))
     if step_of(side, FULL) < every.step:
         solver = TexelSolver(svbrdf.bsdf, fixed, own.solver.grey_specular, own.solver.variant)
         (here, *_), (there, wrong, values) = (

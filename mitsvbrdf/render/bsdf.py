@@ -108,8 +108,7 @@ def _lobes(needs: Needs, texture: Callable[[str], Any], stock: bool) -> dict:
     # the default is Beckmann
     lobe = {"type": "roughconductor", "distribution": "ggx", "alpha": texture("alpha")}
     if needs.fresnel_curve and not stock:
-        lobe |= {"material": "none",
-                 "specular_reflectance": {"type": "uniform", "value": float(needs.lobes)}}
+        lobe |= {"material": "none", "specular_reflectance": {"type": "uniform", "value": float(needs.lobes)}}
         lobe = {"type": FRESNEL, "f0": texture("f0"), "inner": lobe}
     else:
         lobe |= {"specular_reflectance": texture(f"specular_x{needs.lobes}")}

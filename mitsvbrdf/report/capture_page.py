@@ -92,5 +92,4 @@ def _plan(result: CaptureResult) -> dict:
     # a number stands below its dot where another dot is in its way
     cameras = [(name, x, y, y + (0.075 if any(abs(x - u) < 0.06 and 0 < y - v < 0.1 for _, u, v in dots)
                                  else -0.035)) for name, x, y in dots]
-    return {"half": half, "cameras": cameras,
-            "stand": next_place and (next_place[0], -next_place[1])}
+    return {"half": half, "cameras": cameras, "stand": next_place and (next_place[0], -next_place[1])}

@@ -44,9 +44,8 @@ def check_apart(folder: Path, capture: Capture) -> None:
     """Raise OutputError for a folder where :func:`keep_photos` would replace the capture's own files."""
     source = capture.source and os.path.realpath(capture.source)
     if source in (os.path.realpath(folder), os.path.realpath(folder / "photos")):
-        raise OutputError("an output folder of its own",
-                          f"{folder}, where the capture's own photos would be replaced",
-                          "choose another folder")
+        raise OutputError("an output folder of its own", f"{folder}, where the capture's own photos would be "
+                          "replaced", "choose another folder")
 
 
 def keep_photos(folder: Path, capture: Capture) -> None:
