@@ -1,14 +1,15 @@
 """Fits that are asked too much: whether each is to be trusted, and where it is not, whether it says so.
 
 ``python docs/results/stability-fits.py`` makes stability-fits.md and stability-fits.svg from
-stability-fits.json; with ``measure`` behind it the cases are fitted first (an hour and a half). What the
-photos allow (``condition``, ``attainable``, ``start``) stays as it was measured.
+stability-fits.json; with ``measure`` behind it every scene is fitted first (an hour and a half). What the
+photos allow (``condition``, ``attainable``) stays as it was measured.
 """
 
 import json
 import sys
 import time
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from statistics import median
@@ -18,6 +19,7 @@ import torch
 from matplotlib.figure import Figure
 
 from mitsvbrdf.bench.plot import svg
+from mitsvbrdf.bench.run import version
 from mitsvbrdf.bench.table import as_markdown
 
 HERE = Path(__file__).parent
@@ -57,6 +59,14 @@ CASES: dict[str, tuple[str, dict, tuple[str, ...]]] = {
     "a single photo, 30 % clipped, noise 0.03": (
         "inlay", {"photos": 1, "clipped": 0.3, "noise": 0.03}, ("clipped photos", "one photo")),
 }
+# One thing at a time from harmless to extreme, on inlay: what changes -> the argument of `scene` and its values.
+SERIES = {
+    "number of photos": ("photos", (9, 5, 4, 3, 2, 1)),
+    "spread of the cameras": ("spread", (1.5, 0.5, 0.2, 0.1, 0.03)),
+    "roughness": ("roughness", (0.4, 0.3, 0.2, 0.1, 0.05)),
+}
+# Method -> its limit in seconds, and the seeds of the cases; series have the first seed.
+METHODS = {"hierarchical": (120.0, (0, 1, 2)), "gan": (60.0, (0,)), "hybrid": (20.0, (0,)), "direct": (20.0, (0,))}
 
 
 def verdict(record: dict) -> str:
@@ -88,11 +98,6 @@ def series_faults(name: str) -> tuple[str, ...]:
     return ("one photo",) if name == "number of photos: 1" else ()
 
 
-def label(record: dict) -> str:
-    """Method, and its budget where it is not the usual one."""
-    return f"`{record['method']}`" + (", 300 s" if record["budget"] == 300 else "")
-
-
 def cases(record: dict) -> pd.DataFrame:
     """Error of the maps (median over seeds) and verdicts of each case and method."""
     cells: dict[str, dict[str, str]] = {}
@@ -100,7 +105,7 @@ def cases(record: dict) -> pd.DataFrame:
         groups: dict[str, list] = {}
         for r in record["records"]:
             if r["kind"] == "case" and r["name"] == name:
-                groups.setdefault(label(r), []).append(r)
+                groups.setdefault(f"`{r['method']}`", []).append(r)
         for method, group in groups.items():
             counts = Counter(map(verdict, group))
             words = ", ".join(word if len(counts) == 1 else f"{word} ({n} of {len(group)})" for word,
@@ -122,7 +127,7 @@ def series(record: dict) -> pd.DataFrame:
         cells["condition"][r["name"]] = (rank if middle is None
                                          else f"{middle:.{'2e' if middle >= 1000 else '3g'}}")
         cells["attainable"][r["name"]] = f"{r['attainable']['mean']:.3f}"
-        cells.setdefault(label(r), {})[r["name"]] = f"{r['errors']['mean']:.3f} {verdict(r)}"
+        cells.setdefault(f"`{r['method']}`", {})[r["name"]] = f"{r['errors']['mean']:.3f} {verdict(r)}"
     return pd.DataFrame(cells).fillna("–")
 
 
@@ -131,13 +136,14 @@ def page(record: dict) -> str:
     counts = Counter(map(verdict, record["records"]))
     words = ", ".join(f"{counts[word]} {word}"
                       for word in ("sound", "says so", "says part", "silent", "failed"))
-    undone = sum(r["undone"] for r in record["records"])
+    versions = " and ".join(dict.fromkeys(r["version"] for r in record["records"]))
+    limits = ", ".join(f"`{method}` {limit:g} s" for method, (limit, _) in METHODS.items())
     return f"""# Numerical stability of the fits
 
 {as_markdown(cases(record))}
 
-RMSE of the maps and verdict, {SIDE} px, 20 s, median of three seeds (`direct` has none), version \
-{record["versions"]["mitsvbrdf"]}. Of {len(record["records"])} fits: {words}; {undone} steps taken back. \
+RMSE of the maps and verdict, {SIDE} px, version {versions}; of `hierarchical` the median of three seeds. \
+Limits: {limits}. Of {len(record["records"])} fits: {words}. \
 *Attainable*: standard deviation of an estimate of each texel by itself, with the right views and light.
 
 | verdict | when |
@@ -177,8 +183,8 @@ def figure(record: dict) -> Figure:
 
 def scene(material: str, metal: float = 0.0, black: bool = False, relief: float = 1.0, clipped: float = 0.0,
           light: float = 1.0, off: float = 0.0, photos: int = 9, same: bool = False, grey: bool = False,
-          noise: float = 0.003) -> tuple:
-    """The maps of a case, and its photos with the views that a fit is told."""
+          noise: float = 0.003, spread: float = 1.0, roughness: float | None = None) -> tuple:
+    """The maps of a scene, and its photos with the views that a fit is told."""
     from mitsvbrdf import SVBRDF, make_material, make_renderer
     from mitsvbrdf.bench.tasks import find_tasks
 
@@ -193,8 +199,11 @@ def scene(material: str, metal: float = 0.0, black: bool = False, relief: float 
         maps["diffuse"] = torch.zeros_like(maps["diffuse"])
     if metal:
         maps["specular"] = torch.tensor(GOLD).expand_as(maps["specular"]).contiguous()
-        maps["roughness"] = torch.full_like(maps["roughness"], metal)
-    truth, views = SVBRDF(made.bsdf, maps), shots.views
+    if metal or roughness:
+        maps["roughness"] = torch.full_like(maps["roughness"], metal or roughness)
+    aside = torch.tensor([spread, spread, 1.0], dtype=torch.float64)
+    views = replace(shots.views, camera=shots.views.camera * aside, light=shots.views.light * aside)
+    truth = SVBRDF(made.bsdf, maps)
     if clipped:
         bright = camera.render(truth, views).amax(-1).quantile(1 - clipped)
         views = replace(views, intensity=views.intensity / float(bright))
@@ -210,32 +219,54 @@ def scene(material: str, metal: float = 0.0, black: bool = False, relief: float 
     return truth, replace(shots, photos=seen, views=told)
 
 
-def measure(record: dict) -> dict:
-    """Fit every case that the records have again."""
+def scenes() -> Iterator[tuple[str, str, str, dict]]:
+    """Kind, name, material and arguments of :func:`scene`."""
+    for name, (material, changes, _) in CASES.items():
+        yield "case", name, material, changes
+    for series, (argument, values) in SERIES.items():
+        for value in values:
+            yield "series", f"{series}: {value:g}", "inlay", {argument: value}
+
+
+def fitted(kind: str, name: str, material: str, changes: dict, method: str, seed: int) -> dict:
+    """Fit one scene once."""
     from mitsvbrdf import MitsvbrdfError, fit_svbrdf, make_renderer
     from mitsvbrdf.bench.run import method_table
 
-    renderer, found = make_renderer("mitsuba"), []
-    for old in record["records"]:
-        if old["kind"] == "case":
-            truth, shots = scene(CASES[old["name"]][0], **CASES[old["name"]][1])
-            config = replace(method_table()[old["method"]], budget=old["budget"], seed=old["seed"])
-            began = time.perf_counter()
-            try:
-                result = fit_svbrdf(shots, renderer, config)
-            except MitsvbrdfError as reason:
-                found.append({**old, "why": str(reason), "errors": {}, "stated": {}, "warnings": []})
-                continue
-            last, start = result.trace[-1], result.trace[0]
-            stated = {name: float(value.square().mean().sqrt()) for name, value in result.deviations.items()}
-            errors = {} if "grey" in CASES[old["name"]][1] else rmse(result.svbrdf, truth)
-            found.append({**old, "seconds": last["seconds"], "wall": time.perf_counter() - began, "why": None,
-                          "iterations": last["iteration"], "stopped": result.stopped, "stated": stated,
-                          "warnings": list(result.warnings), "undone": len(result.undone),
-                          "errors": {**errors, "photos": result.rerender_rmse,
-                                     "photos_start": start["rerender_rmse"]}})
-            print(old["method"], old["name"], old["seed"], flush=True)
-    return {**record, "records": [*found, *(r for r in record["records"] if r["kind"] == "series")]}
+    truth, shots = scene(material, **changes)
+    limit = METHODS[method][0]
+    key = {"method": method, "kind": kind, "name": name, "budget": limit, "seed": seed, "version": version()}
+    began = time.perf_counter()
+    try:
+        result = fit_svbrdf(shots, make_renderer("mitsuba"),
+                            replace(method_table()[method], budget=limit, seed=seed))
+    except MitsvbrdfError as reason:
+        return key | {"why": str(reason), "errors": {}, "stated": {}, "warnings": []}
+    last, start = result.trace[-1], result.trace[0]
+    errors = {} if changes.get("grey") else rmse(result.svbrdf, truth)
+    return key | {"seconds": last["seconds"], "wall": time.perf_counter() - began, "why": None,
+                  "iterations": last["iteration"], "stopped": result.stopped,
+                  "stated": {name: float(value.square().mean().sqrt())
+                             for name, value in result.deviations.items()},
+                  "warnings": list(result.warnings),
+                  "errors": {**errors, "photos": result.rerender_rmse,
+                             "photos_start": start["rerender_rmse"]}}
+
+
+def measure(record: dict, lines: Path) -> dict:
+    """Fit every scene by every method; each is kept in a file of lines as soon as it is there."""
+    there = [json.loads(line) for line in lines.read_text().splitlines()] if lines.exists() else []
+    done = {(r["method"], r["name"], r["seed"]) for r in there}
+    known = {r["name"]: {key: r[key] for key in ("condition", "attainable")} for r in record["records"]}
+    for method, (_, seeds) in METHODS.items():
+        for kind, name, material, changes in scenes():
+            for seed in seeds if kind == "case" else seeds[:1]:
+                if (method, name, seed) not in done:
+                    print(method, name, seed, flush=True)
+                    there.append(fitted(kind, name, material, changes, method, seed) | known[name])
+                    with lines.open("a") as file:
+                        print(json.dumps(there[-1]), file=file)
+    return {"records": there}
 
 
 def rmse(svbrdf, truth) -> dict[str, float]:
@@ -251,7 +282,7 @@ def rmse(svbrdf, truth) -> dict[str, float]:
 if __name__ == "__main__":
     content = json.loads((HERE / "stability-fits.json").read_text())
     if sys.argv[1:] == ["measure"]:
-        content = measure(content)
+        content = measure(content, HERE / "stability-fits.jsonl")
         (HERE / "stability-fits.json").write_text(json.dumps(content))
     (HERE / "stability-fits.md").write_text(page(content))
     (HERE / "stability-fits.svg").write_bytes(svg(figure(content)))
