@@ -110,7 +110,7 @@ class Capture:
 
     Raises:
         CaptureError: photos of another shape or with values that no photo has, or not a view and a number for
-            each; views that :meth:`Views.check` refuses; ``measured`` that is no mask of them, or hides all.
+            each; views that :meth:`Views.check` refuses; ``measured`` that is no mask of them.
         ConfigError: another transfer function or calibration.
     """
 
@@ -149,9 +149,6 @@ class Capture:
         if told is not None and (told.dtype != torch.bool or told.shape != shape):
             raise CaptureError(f"measured of {tuple(shape)}, bool", f"{tuple(told.shape)}, {told.dtype}",
                                "give True where a pixel is one of the photo")
-        if told is not None and not told.any():
-            raise CaptureError("photos that show something", "a mask that hides every pixel of them all",
-                               "check the mask, or the photos' transparency")
 
     def __len__(self) -> int:
         return self.stored.shape[0]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from ..capture import Capture
-from ..errors import ConfigError
+from ..errors import CaptureError, ConfigError
 from ..io.entry import entry
 from ..render import Renderer
 from .config import DirectConfig, FitConfig, HierarchicalConfig, HybridConfig
@@ -48,10 +48,13 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
         early with it.
 
     Raises:
+        CaptureError: photos whose every pixel is masked.
         ConfigError: options out of range, or a checkpoint of another fit.
     """
     config = (config or HierarchicalConfig()).limited(capture.resolution)
     config.check()
+    if capture.measured is not None and not capture.measured.any():
+        raise CaptureError("photos that show something", "a mask that hides all pixels", "check the mask")
     stated = capture.notes
     task = fit_task(capture, renderer, config)
     capture, method = task.capture, make_method(task)
