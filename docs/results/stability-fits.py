@@ -6,6 +6,7 @@ photos allow (``condition``, ``attainable``) stays as it was measured.
 """
 
 import json
+import math
 import sys
 import time
 from collections import Counter
@@ -74,7 +75,7 @@ def verdict(record: dict) -> str:
     """One word for one fit."""
     errors, stated, warnings = record["errors"], record["stated"], " ".join(record["warnings"])
     single = any(warning.startswith("one photo") for warning in record["warnings"])  # met by its guess alone
-    if record["why"] is not None or not (single or errors["photos"] < errors["photos_start"]):
+    if record["why"] is not None or not errors["photos"] < (math.inf if single else errors["photos_start"]):
         return "failed"
     wrong = [name for name in MAPS if not errors.get(name, 1.0) <= SOUND]
     if not wrong:
@@ -139,7 +140,8 @@ def page(record: dict) -> str:
     words = ", ".join(f"{counts[word]} {word}"
                       for word in ("sound", "says so", "says part", "silent", "failed"))
     versions = " and ".join(dict.fromkeys(r["version"] for r in record["records"]))
-    limits = ", ".join(f"`{method}` {limit:g} s" for method, (limit, _) in METHODS.items())
+    budgets = {r["method"]: r["budget"] for r in record["records"]}
+    limits = ", ".join(f"`{method}` {budget:g} s" for method, budget in budgets.items())
     return f"""# Numerical stability of the fits
 
 {as_markdown(cases(record))}
