@@ -140,8 +140,8 @@ def doubts(capture: Capture) -> Doubts | None:
     if light_doubted := not FAINT < reflectance < BRIGHT:
         factor = min(UNITS, key=lambda unit: abs(math.log(max(reflectance, 1e-30) / USUAL / unit)))
         said.append(f"with the stated light power the material reflects {reflectance:.1g} of the light, as "
-                    f"no material does: its unit may be another one; try --light-factor {factor:g} (of "
-                    "centimetres for metres it is 0.0001, of the reverse 10000)")
+                    f"{'polished metal alone' if reflectance < 1 else 'no material'} does; for another unit "
+                    f"try --light-factor {factor:g} (centimetres for metres: 0.0001, the reverse: 10000)")
     return Doubts(tuple(said), light_doubted) if said else None
 
 

@@ -43,6 +43,7 @@ SURE = 3.0  # standard errors by which patches must be predicted better for a ch
 WORSE = 1.1
 BEAT = 20  # steps of the game from one judgement to the next
 VIEWS = "camera", "light", "intensity"
+SHARED = "bsdf", "guess", "seed", "fix", "grey_specular", "flash_offset"  # settings of both methods
 GAME, ENDED = 2, 3  # stages after solving with all photos (0) and without the patches (1)
 
 
@@ -70,11 +71,9 @@ class SolvedGan(Method[GanConfig]):
         self.gain = 0.0  # of squared errors of the patches
 
     def _solver(self, task: FitTask[GanConfig], budget: float | None = None) -> Method:
-        own = self.config
-        config = HierarchicalConfig(bsdf=own.bsdf, guess=own.guess, seed=own.seed, fix=own.fix,
-                                    grey_specular=own.grey_specular, flash_offset=own.flash_offset,
-                                    budget=budget)
-        return solver_of(FitTask(task.capture, task.renderer, config, None, task.estimated))
+        config = HierarchicalConfig(budget=budget, **{name: getattr(self.config, name) for name in SHARED})
+        return solver_of(FitTask(task.capture, task.renderer, config, None, task.estimated,
+                                 task.light_doubted))
 
     def step(self, progress: float) -> dict[str, float]:
         """A round of the solver, or a step of the game."""

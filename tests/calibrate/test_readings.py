@@ -11,7 +11,7 @@ from mitsvbrdf.calibrate.readings import Reading, doubts
 from mitsvbrdf.capture import Capture, read_capture
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.evaluate.placement import placed
-from mitsvbrdf.fit import DirectConfig, fit_svbrdf
+from mitsvbrdf.fit import DirectConfig, GanConfig, fit_svbrdf
 from mitsvbrdf.fit.options import FitOptions
 from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.material.made import make_material
@@ -91,9 +91,10 @@ def test_the_option_gives_the_views_meant_and_evaluation_follows_it(axes, turn):
     assert torch.equal(placed(wrong, fit).views.camera, meant.views.camera)
 
 
-def test_a_fit_says_it_and_knows_no_colour_under_a_doubted_light():
+@pytest.mark.parametrize("config", [DirectConfig(iterations=3), GanConfig(iterations=1)])
+def test_a_fit_says_it_and_knows_no_colour_under_a_doubted_light(config):
     capture = photos_of(make_material("inlay", 16))
-    fit = fit_svbrdf(stated(capture, light=1e4), make_renderer("analytic"), DirectConfig(iterations=3))
+    fit = fit_svbrdf(stated(capture, light=1e4), make_renderer("analytic"), config)
     assert any("--light-factor 0.0001" in warning for warning in fit.warnings)
     sure = fit.record["confidence"]
     assert sure["diffuse"]["determined_share"] == sure["specular"]["determined_share"] == 0
