@@ -100,14 +100,16 @@ def test_sigterm_ends_a_worker_so_that_no_half_fit_counts(worker):
 
 
 @pytest.mark.parametrize("deed, memory, words",
-                         [("eat", 1.0, HELD), ("abort", None, "Fatal Python error: Aborted")])
+                         [pytest.param("eat", 1.0, HELD, marks=pytest.mark.slow),
+                          ("abort", None, "Fatal Python error: Aborted")])
 def test_a_worker_that_dies_leaves_its_last_words(worker, deed, memory, words):
     said, code, _ = worker(deed, memory=memory)
     assert code < 0 and len(said) == 1
     assert words in (worker.results.store.folder / ".work/one.log").read_text()
 
 
-@pytest.mark.parametrize("deed, state", [("full", "full"), ("", "failed")])
+@pytest.mark.parametrize("deed, state",
+                         [pytest.param("full", "full", marks=pytest.mark.slow), ("", "failed")])
 def test_what_fails_is_told_and_leaves_nothing_behind(worker, tmp_path, deed, state):
     capture = make_capture(tmp_path / "wood", [b"no photo"])
     (_, outcome), code, _ = worker(deed, capture)

@@ -81,6 +81,7 @@ def test_turned_phone(tmp_path):
     assert misalignment(rig, poses) < 0.06
 
 
+@pytest.mark.slow
 def test_what_cannot_be_used_is_named(tmp_path):
     poses = held(7, seed=2)
     good = {name: poses[name] for name in ("0.png", "1.png", "2.png", "3.png")}

@@ -47,6 +47,7 @@ def test_photos_are_measured_at_a_size_that_memory_holds(photos, monkeypatch):
           position=0.002, texels=0.4)
 
 
+@pytest.mark.slow
 def test_the_size_and_the_depth_of_the_sheet(tmp_path, photos):
     double = rig_from_sheet(photos, 36.0)
     np.testing.assert_allclose(double.poses["a.jpg"].position, 2 * POSES[0].position, rtol=2e-3, atol=0.1)

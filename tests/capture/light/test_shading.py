@@ -133,6 +133,7 @@ def test_paper_tells_a_photo_without_flash():
     assert np.abs(found(shading) - expected(rig))[:2].max() < 0.02
 
 
+@pytest.mark.slow
 def test_deviations_of_paper_are_the_size_of_its_errors():
     sizes = []
     for seed in range(8):

@@ -88,6 +88,7 @@ def test_a_budget_is_kept_and_used(budget, exact, timed):
     assert method.done or clock.now >= budget
 
 
+@pytest.mark.slow
 def test_an_ample_budget_changes_nothing(timed):
     method, clock = timed(AMPLE)
     passed, found = run(method, clock, AMPLE)
