@@ -60,10 +60,8 @@ def deaths(chaos: dict) -> pd.DataFrame:
 
 def page(record: dict) -> str:
     """The text of batch.md."""
-    chaos, laws = record["chaos"], record["costs"]["law"]
+    chaos = record["chaos"]
     killed = chaos["disturbed"]["killed"]
-    law = "; ".join(f"pages {name}: {each['base']:.2f} s + {1e6 * each['slope']:.2f} us x photos x side^2 "
-                    f"(largest error {each['worst']:.0%})" for name, each in laws.items())
     return f"""# Batches
 
 ## Against a loop of the shell
@@ -80,7 +78,7 @@ were fitted in each way in turn.
 
 {as_markdown(costs(record["costs"]["rows"]))}
 
-Default fits as a worker does them: one thread, warm, other work beside them. CPU seconds follow {law}. The \
+Default fits as a worker does them: one thread, warm, other work beside them. The \
 first fit of a new worker takes \
 {record["costs"]["cold"]["cpu_seconds"] - record["costs"]["warm"]["cpu_seconds"]:.1f} CPU seconds more.
 

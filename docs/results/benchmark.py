@@ -160,7 +160,7 @@ The default is the lowest on {beaten(by_capture)} captures. Its fits of captures
 
 {as_markdown(materials.map(figures))}
 
-RMSE of maps encoded to 0 to 1, from nine exact 8-bit photos, by the default.
+RMSE of maps encoded to 0 to 1, from nine exact 8-bit photos with the views of cards-blue, by the default.
 
 ## Seconds on the wall / of the loop, captures without photos 7 and 8
 
@@ -174,8 +174,8 @@ The process is warm. Before the loop comes the guessed diffuse map, after it the
 
 ![Seconds and memory against texels](benchmark-size.svg)
 
-Whole commands, one after the other, on nine exact 8-bit photos of made inlaid wood (two cores, half as \
-fast as those above). The loop ends by itself or after 120 s, 240 s at 2048 px, 480 s at 4096 px.
+Whole commands, one after the other, on nine exact 8-bit photos of made inlaid wood (two slower cores). \
+The loop ends by itself, or after 120 s (2048 px: 240 s, 4096 px: 480 s) and the step that runs then.
 
 ## Renderers
 

@@ -73,9 +73,8 @@ by own photos is larger than its error.
 
 {sure}
 
-Shares by the texel's own photos, as `fit` counts. Deviations of specular and roughness are too wide where \
-no photo shows the highlight, because such texels follow a lobe that others tell. A material whose \
-specular is the same everywhere is nearly all within one deviation, or nearly all beyond.
+Shares by the texel's own photos, as `fit` counts. Deviations of specular and roughness are too wide, most \
+where no photo shows the highlight: such texels follow a lobe that others tell.
 
 ## Within one deviation, with look-alikes, by case
 

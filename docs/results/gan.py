@@ -203,9 +203,11 @@ def page(record: dict) -> str:
 
 {as_markdown(known(record))}
 
-RMSE of maps encoded to 0 to 1, mean of six materials, median of three seeds (`gan` at 300 s: one), 128 px \
-where nothing else is said. `gan` is `--start guess` where *from solved maps* is not said. The \
-adversarial loss improves all maps but specular. Feature matching takes the mean after 30 s from \
+RMSE of maps encoded to 0 to 1, mean of six materials, median of three seeds (`gan` at 300 s, \
+`hierarchical`: one), 128 px where nothing else is said. `gan` is `--start guess` where *from solved \
+maps* is not said. The \
+adversarial loss with feature matching improves roughness and normals, hardly diffuse, and makes specular \
+worse. Feature matching takes the mean after 30 s from \
 {matched[0]:.4f} to {matched[1]:.4f} (two seeds).
 
 {as_markdown(game(record))}
@@ -251,8 +253,8 @@ pictures; the maps stay those of the looks.
 
 64 px, mean of {played}. The paper's first stage (Wen) was trained once, 2,000 iterations on one photo of \
 {stages[0]["trained_on"]}; its second stage, or the game without a first one, had 400 iterations a photo \
-(width 16, learning rate 0.001, light that falls off). The trained start is the better one for specular \
-maps; both stay far behind looks.
+(width 16, learning rate 0.001, light that falls off). The trained start is the better one for diffuse and \
+specular maps; both stay far behind looks.
 
 ## Captures
 

@@ -86,7 +86,8 @@ def page(record: dict) -> str:
 
 {as_markdown(fits(suite(record, "leave-out")))}
 
-Fits at 64 px, three turns of each pair. Seconds are those with the part over those without it, errors those \
+Fits at 64 px, version {record["versions"]["mitsvbrdf"]}, three turns of each pair. Seconds are those with \
+the part over those without it, errors those \
 without it over those with it. *By itself*: \
 the program omits the part for such photos (`fit --explain`). *Needed*: an error of maps, under new \
 light or of held-out photos grows by more than {COSTS - 1:.0%}; *not needed*: none does and at least \

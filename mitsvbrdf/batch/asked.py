@@ -116,7 +116,7 @@ class Stock:
     done: int = 0  # how many results were found whole
     failed: int = 0  # how many failed before and are not tried again
     unreadable: int = 0  # how many have photos, or a name, that cannot be read
-    notes: list[str] = field(default_factory=list)  # lines about what is omitted, or done anew
+    notes: list[str] = field(default_factory=list)  # lines about what is passed over, or done anew
 
 
 def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
@@ -129,9 +129,9 @@ def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
     for material in _materials(list(asked), report):
         if isinstance(material, OutputError):
             stock.unreadable += 1
-            stock.notes.append(f"omitted: {material}")
+            stock.notes.append(f"passed over: {material}")
         elif (twin := wanted.setdefault(material.folder, material)).source != material.source:
-            stock.notes.append(f"omitted: {material.source} has the photos and options of {twin.source}")
+            stock.notes.append(f"passed over: {material.source} has the photos and options of {twin.source}")
     names, shown = set(results.names()), library.shown()
     for folder, material in wanted.items():
         before = known.get(folder)

@@ -83,8 +83,9 @@ def note(group: Judged) -> str:
     """What to know of a table: how many seeds, and which methods ended by themselves."""
     found = summary(group.records, group.error)
     seeds = found["seeds"].max()
-    ended = found[found["ended"]].groupby("method", sort=False)["seconds"].min()
-    ends = "; ".join(f"`{method}` after {seconds:.3g} s" for method, seconds in ended.items())
+    ended = found[found["ended"]].groupby("method", sort=False)["seconds"].agg(["min", "max"])
+    ends = "; ".join(f"`{method}` after {' to '.join(dict.fromkeys(f'{s:.3g}' for s in span))} s"
+                     for method, *span in ended.itertuples())
     return ((f"Median of {seeds} seeds (quartiles)." if seeds > 1 else "One seed.")
             + (f" † ended by itself: {ends}." if ends else ""))
 

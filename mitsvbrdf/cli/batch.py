@@ -138,7 +138,7 @@ def _ended(library: Library, interrupted: bool, unreadable: int) -> int:
         log = f"; its log: {home}/{FAILED}/{each.folder}/{LOG}" if each.log else ""
         say(f"failed: {each.name} ({each.source}): {each.reason}{log}")
     words = [f"{counts['done']} done"] + [f"{n} {what}" for n, what in (
-        (counts["failed"], "failed"), (unreadable, "omitted"), (counts["pending"], "left")) if n]
+        (counts["failed"], "failed"), (unreadable, "passed over"), (counts["pending"], "left")) if n]
     more = "; the same command goes on" if counts["pending"] else ""
     say(f"{', '.join(words)}; {home}/{PAGE} shows them{more}")
     if counts["failed"] or unreadable:

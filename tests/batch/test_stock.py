@@ -124,7 +124,7 @@ def test_one_that_failed_and_whose_result_appeared_after_all_is_done(results, sh
     assert not list((results.store.folder / "failed").iterdir())
 
 
-def test_what_cannot_be_read_is_omitted_until_it_can(results, shots, monkeypatch):
+def test_what_cannot_be_read_is_passed_over_until_it_can(results, shots, monkeypatch):
     def forbidden(path):
         raise PermissionError(13, "Permission denied", str(path))
 
@@ -139,7 +139,7 @@ def test_the_same_photos_under_two_names_are_fitted_once_and_that_is_said(result
     one, other = (make_capture(tmp_path / part / "same", [b"the same"]) for part in "ab")
     found = stock(results, one, other, one)
     assert names(found) == ["same"] and found.notes == [
-        f"omitted: {other} has the photos and options of {one}"]
+        f"passed over: {other} has the photos and options of {one}"]
 
 
 def test_two_captures_with_one_name_are_two_materials(results, tmp_path):
@@ -148,7 +148,7 @@ def test_two_captures_with_one_name_are_two_materials(results, tmp_path):
 
 
 @pytest.mark.skipif(os.name == "nt", reason="names are text there")
-def test_a_name_that_is_not_utf_8_is_omitted_with_its_reason(results, shots, tmp_path):
+def test_a_name_that_is_not_utf_8_is_passed_over_with_its_reason(results, shots, tmp_path):
     odd = make_capture(Path(os.fsdecode(os.fsencode(tmp_path) + b"/odd-\xff")))
     found = stock(results, odd, shots[0])
     assert names(found) == ["oak"] and "a name in UTF-8" in found.notes[0]
