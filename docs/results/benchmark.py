@@ -126,7 +126,10 @@ def page(record: dict) -> str:
     others_held, others_seen = (each_capture(others, published, error) for error in ("held_out", "seen"))
     materials = each_material(of_one(records, "material", []))
     whole = [r for r in records if r["method"] == "hierarchical" and r["budget"] == LONGEST]
-    took = {kind: [r["seconds"] for r in whole if r["kind"] == kind] for kind in ("capture", "material")}
+    took = {kind: [r["seconds"] for r in records if r["method"] == "hierarchical" and r["kind"] == kind
+                   and r["stopped"] != "budget"] for kind in ("capture", "material")}
+    ratios = [r["errors"]["held_out"] / r["errors"]["seen"] for r in others
+              if r["method"] == "hierarchical" and r["budget"] == LONGEST]
     settled = sum(r["stopped"] != "budget" for r in whole)
     versions = " and ".join(dict.fromkeys(r["version"] for r in records))
     four = [f"{cells.loc[row].iloc[0]:.4f}" for cells in (others_held, others_seen)
@@ -144,7 +147,8 @@ published predictions.
 {markdown(held, published)}
 Where MaterialGAN saw all nine photos, no photo is held out. `gan` begins at the maps of the \
 default, and changes a map only if held-out photos are predicted better. The default alone, 18 captures \
-without photos 4 and 7: mean {four[0]} (median {four[1]}), photos seen {four[2]} (median {four[3]}).
+without photos 4 and 7: mean {four[0]} (median {four[1]}), photos seen {four[2]} (median {four[3]}); held \
+out over seen {min(ratios):.1f} to {max(ratios):.1f}, median {statistics.median(ratios):.1f}.
 
 ## Each capture, held-out photos 7 and 8
 
