@@ -19,16 +19,14 @@ Start = Literal["solved", "guess", "untrained"]
 # The paper's method (III.C to III.F); it prints no weight of the diffuse loss.
 _PAPER: dict[str, Any] = {
     "guess": "min", "grey_specular": True, "generator": "two-stream", "start": "untrained", "width": 64,
-    "learning_rate": 2e-5, "head_start": 0.0, "decay": False, "normal_roughness_steps": 5,
-    "pictures": 1, "discriminator_rate": 2e-5, "game": "bce", "level": False, "angles": False,
-    "paired": False, "clipping": False, "grow": False, "adversarial": 1.0, "features": 0.0, "diffuse": 10.0,
+    "learning_rate": 2e-5, "normal_roughness_steps": 5, "pictures": 1, "discriminator_rate": 2e-5,
+    "game": "bce", "paired": False, "grow": False, "adversarial": 1.0, "features": 0.0, "diffuse": 10.0,
     "smooth": 0.0, "flash_offset": False}
 _MINUTES: dict[str, Any] = {
     "guess": "robust", "grey_specular": False, "generator": "all-photos", "start": None, "width": 16,
-    "learning_rate": 2e-3, "head_start": 0.1, "decay": True, "normal_roughness_steps": 1,
-    "pictures": 6, "discriminator_rate": 1e-3, "game": "relativistic", "level": True, "angles": True,
-    "paired": True, "clipping": True, "grow": True, "adversarial": 1.0, "features": 10.0, "diffuse": 5.0,
-    "smooth": 1.0, "flash_offset": True}
+    "learning_rate": 2e-3, "normal_roughness_steps": 1, "pictures": 6, "discriminator_rate": 1e-3,
+    "game": "relativistic", "paired": True, "grow": True, "adversarial": 1.0, "features": 10.0,
+    "diffuse": 5.0, "smooth": 1.0, "flash_offset": True}
 PRESETS: dict[str, dict[str, Any]] = {
     "minutes": _MINUTES, "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
 # What a game from solved maps looks at; the other settings are those of the game from the guess.
@@ -75,10 +73,6 @@ class GanConfig(FitConfig):
     """Channels of the first convolution of both networks."""
     learning_rate: float = AS_PRESET
     """Adam's step size of the generator."""
-    head_start: float = AS_PRESET
-    """Share of each phase in which the generator's step size rises from 0."""
-    decay: Switch = AS_PRESET
-    """Step sizes fall along a cosine to 2 % in each phase."""
     normal_roughness_steps: int = AS_PRESET
     """Gradient steps of the normal/roughness decoder per step of the diffuse/specular decoder (III.F)."""
     pictures: int = AS_PRESET
@@ -89,14 +83,8 @@ class GanConfig(FitConfig):
     """Adam's step size of the discriminator."""
     game: Game = AS_PRESET
     """Adversarial loss: bce (the paper's), hinge, or relativistic (photo against rendering of its view)."""
-    level: Switch = AS_PRESET
-    """The discriminator sees the brightness of pictures: its first layer has no norm."""
-    angles: Switch = AS_PRESET
-    """The discriminator sees where highlights would lie: two channels of the half vector."""
     paired: Switch = AS_PRESET
     """The discriminator sees the photo beside the picture that it classifies."""
-    clipping: Switch = AS_PRESET
-    """Clip a rendering only where its photo is clipped. Off: everywhere, which stops gradients."""
     grow: Switch = AS_PRESET
     """Training at a quarter and half the resolution first."""
     adversarial: float = AS_PRESET
@@ -156,9 +144,6 @@ class GanConfig(FitConfig):
         if self.normal_roughness_steps > 1 and self.generator != "two-stream":
             raise ConfigError("--generator two-stream with several steps of one decoder",
                               f"--generator {self.generator}", "leave --normal-roughness-steps at 1")
-        if self.head_start > 1:
-            raise ConfigError("a head start of 0 to 1", str(self.head_start),
-                              "0.1 is a tenth of it; 0 gives none")
         if 0 < self.crop < 16:
             raise ConfigError("crop of 16 texels or more, or 0", str(self.crop), "0 trains on whole pictures")
 

@@ -97,7 +97,7 @@ def test_resume_goes_on_and_needs_a_checkpoint(shots, tmp_path, capsys):
     out, whole = tmp_path / "out", tmp_path / "whole"
     # Nothing here hangs on how much of the run is done: more iterations go on as if they had been asked for
     # at once.
-    gan = ["--method", "gan", "--width", "4", "--no-decay", "--head-start", "0", "--renderer", "analytic",
+    gan = ["--method", "gan", "--width", "4", "--renderer", "analytic",
            "--views", "0,3", "--resolution", "32"]
     fails(capsys, tmp_path, ["fit", shots, "-o", out, "--resume", *FAST], "checkpoint")
     assert cli.main(["fit", str(shots), "-o", str(out), *gan, "--iterations", "2"]) == 0

@@ -261,10 +261,9 @@ def test_presets_are_the_papers():
         assert (paper.normal_roughness_steps, paper.pictures, paper.game, paper.guess) == (5, 1, "bce", "min")
         assert paper.grey_specular and paper.falloff == "none" and paper.holds_views
         assert not paper.flash_offset
-        assert (paper.head_start, paper.smooth, paper.adversarial) == (0, 0, 1)
+        assert (paper.smooth, paper.adversarial) == (0, 1)
         assert paper.begins == "untrained"
-        assert not any((paper.decay, paper.level, paper.angles, paper.paired, paper.clipping,
-                        paper.grow, paper.features, paper.crop))
+        assert not any((paper.paired, paper.grow, paper.features, paper.crop))
     assert [(round(p.share, 9), p.photos) for p in two.phases(256)] == [(0.4, 1), (0.6, None)]
     assert GanConfig(preset="paper-one-stage", width=8).width == 8  # what is given stays
 
@@ -272,7 +271,7 @@ def test_presets_are_the_papers():
 @pytest.mark.parametrize("settings, said", [
     ({"game": "rpgan"}, "relativistic"), ({"generator": "unet"}, "two-stream"),
     ({"adversarial": 0.0, "features": 0.0, "diffuse": 0.0, "smooth": 0.0}, "a loss"),
-    ({"head_start": 1.5}, "head start"), ({"crop": 4}, "crop of 16"),
+    ({"crop": 4}, "crop of 16"),
     ({"normal_roughness_steps": 5}, "two-stream"), ({"pictures": 0}, "pictures > 0"),
     ({"preset": "paper-two-stage", "generator": "all-photos", "normal_roughness_steps": 1},
      "--generator two-stream"), ({"preset": "paper-two-stage", "grow": True}, "growing")])

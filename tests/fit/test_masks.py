@@ -99,7 +99,7 @@ def test_a_discriminator_sees_no_difference_from_the_truth(made, shots):
     rendered = ANALYTIC.render(made, shots[1].views)
     for capture, masked in (shots[1], True), (replace(shots[1], measured=None), False):
         for photo, some in enumerate((~shots[1].measured).any(dim=(1, 2)).tolist()):
-            pictures = PictureSource(capture, clipping=True).whole(photo)
+            pictures = PictureSource(capture).whole(photo)
             beside = (pictures.of(rendered[[photo]]) - pictures.shown).abs().max()
             assert (beside < 0.51 / 255) == (masked or not some)  # photos of 8 bits
 

@@ -20,15 +20,13 @@ from ...views import Views
 from .. import losses
 from ..checkpoint import Held, load_parts, load_tensors, part
 from ..gan_config import GanConfig, Phase
-from ..method import Method, cosine, descend
+from ..method import Method, descend
 from ..parameters import Streams, from_units, streams_of
 from ..start import robust_start
 from ..task import FitTask
 from .conditioning import Conditioning, level, with_flash_at
 from .networks import AllPhotosGenerator, PatchDiscriminator, TwoStreamGenerator, frozen, seeded
 from .pictures import Pictures, PictureSource, seen_through
-
-FIRST_STEP = 0.02  # of the step size, at the least, while it rises: no step moves nothing
 
 
 class Gan(Method[GanConfig]):
@@ -50,13 +48,9 @@ class Gan(Method[GanConfig]):
         self.generator = make_generator(config, self.streams, self.whole.condition.shape[1])
         self._begin(0, {})
 
-    def _rate(self, name: str, share: float = 0.0) -> float:
-        """Adam's step size when this share of the phase is done."""
-        config = self.config
-        judges, falling = name == "judge", cosine(max(share, 0.0)) if config.decay else 1.0
-        rising = (1.0 if judges or share < 0 or share >= config.head_start
-                  else max(share / config.head_start, FIRST_STEP))
-        return self.pace * rising * falling * (config.discriminator_rate if judges else config.learning_rate)
+    def _rate(self, name: str) -> float:
+        """Adam's present step size."""
+        return self.pace * (self.config.discriminator_rate if name == "judge" else self.config.learning_rate)
 
     def _scale(self, phase: Phase, carried: dict[str, Tensor]) -> Conditioning:
         capture = (self.capture if phase.photos is None
@@ -68,10 +62,9 @@ class Gan(Method[GanConfig]):
         """A phase: a new discriminator and new optimisers; the generator's weights stay."""
         config, g = self.config, self.generator
         self.phase, self.scale = phase, self._scale(self.phases[phase], carried)
-        self.source = PictureSource(self.scale.capture, config.clipping, config.crop)
+        self.source = PictureSource(self.scale.capture, config.crop)
         with seeded(config.seed + 1 + phase):
-            inputs = 3 + 2 * config.angles + 3 * config.paired
-            self.discriminator = PatchDiscriminator(config.width, inputs, config.level)
+            self.discriminator = PatchDiscriminator(config.width, 6 if config.paired else 3)
         trained: dict[str, list[nn.Module | None]] = {"slow": [g]}
         if isinstance(g, TwoStreamGenerator):
             trained = {"slow": [g.encoder, g.diffuse_specular], "fast": [g.normal_roughness]}
@@ -85,9 +78,9 @@ class Gan(Method[GanConfig]):
 
     def step(self, progress: float) -> dict[str, float]:
         """One step of the discriminator, then of the generator; its normal/roughness decoder may repeat."""
-        share = self._enter_phase(progress)
+        self._enter_phase(progress)
         for name, optimizer in self.optimizers.items():
-            optimizer.param_groups[0]["lr"] = self._rate(name, share)
+            optimizer.param_groups[0]["lr"] = self._rate(name)
         logged: dict[str, float] = {}
         pictures = self.source.draw(self.config.pictures, self.random)
         for substep in range(self.config.normal_roughness_steps if "fast" in self.optimizers else 1):
@@ -96,8 +89,8 @@ class Gan(Method[GanConfig]):
             self._substep(pictures, substep == 0, logged)
         return logged | {"phase": float(self.phase)}
 
-    def _enter_phase(self, progress: float) -> float:
-        """Begin the phase that is due; returns its share done, < 0 in a run resumed with a higher limit."""
+    def _enter_phase(self, progress: float) -> None:
+        """Begin the phase that is due, none that is over: a run may be resumed with a higher limit."""
         begins = list(itertools.accumulate((phase.share for phase in self.phases[:-1]), initial=0.0))
         present = max(number for number, begin in enumerate(begins) if progress >= begin)
         if present > self.phase:
@@ -106,7 +99,6 @@ class Gan(Method[GanConfig]):
             if change:
                 self.generator.begin_change()
             self._begin(present, change)
-        return min((progress - begins[self.phase]) / self.phases[self.phase].share, 1.0)
 
     def _substep(self, pictures: Pictures, first: bool, logged: dict[str, float]) -> None:
         config, plays = self.config, not {"adversarial", "features"} <= set(self.unused)
@@ -161,8 +153,7 @@ class Gan(Method[GanConfig]):
 
     def _told(self, pictures: Pictures) -> Tensor | None:
         """What the discriminator is told beside a picture."""
-        channels = [pictures.angles] * self.config.angles + [pictures.shown * 2 - 1] * self.config.paired
-        return torch.cat(channels, dim=1) if channels else None
+        return pictures.shown * 2 - 1 if self.config.paired else None
 
     def _verdict(self, shown: Tensor, fake: Tensor, told: Tensor | None) -> dict[str, Tensor]:
         """The generator's own losses of what the discriminator makes of its renderings."""

@@ -22,11 +22,11 @@ def seeded(seed: int) -> Iterator[None]:
         yield
 
 
-def block(layer: nn.Conv2d | nn.ConvTranspose2d, normalise: bool = True) -> nn.Sequential:
-    """A layer, instance norm where asked for, and leaky ReLU."""
+def block(layer: nn.Conv2d | nn.ConvTranspose2d) -> nn.Sequential:
+    """A layer, instance norm, and leaky ReLU."""
     # Group norm with one channel a group is instance norm; torch computes it several times faster on a CPU.
-    norm = [nn.GroupNorm(layer.out_channels, layer.out_channels)] if normalise else []
-    return nn.Sequential(layer, *norm, nn.LeakyReLU(0.2, inplace=True))
+    norm = nn.GroupNorm(layer.out_channels, layer.out_channels)
+    return nn.Sequential(layer, norm, nn.LeakyReLU(0.2, inplace=True))
 
 
 class TwoStreamGenerator(nn.Module):
@@ -85,14 +85,13 @@ class PatchDiscriminator(nn.Module):
     """The paper's discriminator (III.D): 5 convolutions, four with instance norm and leaky ReLU.
 
     Its Sigmoid is part of the losses (:func:`mitsvbrdf.fit.losses.discriminator`). It sees a picture, and
-    what else it is told. ``level``: no norm after the first convolution (ours), as instance norm takes out
-    how bright a picture is.
+    what else it is told.
     """
 
-    def __init__(self, width: int = 64, inputs: int = 3, level: bool = False) -> None:
+    def __init__(self, width: int = 64, inputs: int = 3) -> None:
         super().__init__()
         w = width
-        self.layers = nn.ModuleList([block(nn.Conv2d(inputs, w, 4, stride=2, padding=1), normalise=not level),
+        self.layers = nn.ModuleList([block(nn.Conv2d(inputs, w, 4, stride=2, padding=1)),
             block(nn.Conv2d(w, 2 * w, 4, stride=2, padding=1)),
             block(nn.Conv2d(2 * w, 4 * w, 4, stride=2, padding=1)),
             block(nn.Conv2d(4 * w, 8 * w, 3, padding=1)), nn.Conv2d(8 * w, 1, 3, padding=1)])

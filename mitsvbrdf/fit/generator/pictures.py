@@ -7,8 +7,7 @@ from torch import Tensor
 
 from ... import color
 from ...capture import Capture
-from ...color import CLIPPED
-from ...views import Views, geometry
+from ...views import Views
 
 Window = tuple[slice, slice]  # rows and columns of a crop
 WHOLE = slice(None), slice(None)
@@ -19,11 +18,9 @@ class Pictures:
     """Photos or blends, and how renderings of their views become pictures to compare with them."""
 
     shown: Tensor  # the pictures, P x 3 x R x R in display values
-    # where highlights would lie on a flat patch: ten times 1 - the half vector's cosine, and its sine
-    angles: Tensor  # P x 2 x R x R
     index: Tensor  # numbers of the K photos in the capture
     weights: Tensor  # P x K, how much of each photo is in each picture, in linear light
-    # least and greatest radiance of renderings: 1 at most where a photo is clipped, the photo's where masked
+    # least and greatest radiance of renderings: 0 and 1, the photo's where it is masked
     limits: tuple[Tensor, Tensor]  # K x R x R x 3 each
     window: Window  # the crop of the photos that is shown
     transfer: color.Transfer  # of the photos
@@ -32,29 +29,18 @@ class Pictures:
         """The same pictures of renderings of the views ``index``, linear K x R x R x 3, unclamped.
 
         Each view is clipped and masked as its photo was before it is blended, so that photos and renderings
-        show the same physics (Bora 2018, AmbientGAN). Display values P x 3 x R x R are above 1 where a
-        rendering is too bright and its photo is not clipped.
+        show the same physics (Bora 2018, AmbientGAN).
         """
-        least, greatest = self.limits
-        seen, bound = rendered.clamp(least, greatest), greatest < torch.inf
-        if not bound.all():  # in memory as the photos are, else as rendered: the bits of sums hang on it
-            seen = torch.where(bound, seen, rendered)
-        return _displayed(seen, self.weights, self.transfer)
+        return _displayed(rendered.clamp(*self.limits), self.weights, self.transfer)
 
 
 class PictureSource:
-    """Draws pictures from a capture, of random crops of so many texels a side; 0 takes the whole.
+    """Draws pictures from a capture, of random crops of so many texels a side; 0 takes the whole."""
 
-    ``clipping``: renderings are clipped where the photo is, only there.
-    """
-
-    def __init__(self, capture: Capture, clipping: bool, crop: int = 0) -> None:
+    def __init__(self, capture: Capture, crop: int = 0) -> None:
         self.capture, self.crop = capture, crop
         self.linear = color.decode(capture.photos, capture.transfer)
-        half = geometry(capture.views, capture.resolution)[1]
-        self.angles = torch.stack((10 * (1 - half[..., 2]), half[..., :2].norm(dim=-1)), dim=1)
-        highest = torch.where(capture.photos < CLIPPED, torch.inf if clipping else 1.0, 1.0)
-        least = torch.zeros_like(highest)
+        least, highest = torch.zeros_like(self.linear), torch.ones_like(self.linear)
         if capture.measured is not None:
             least, highest = (torch.where(capture.measured[..., None], limit, self.linear)
                               for limit in (least, highest))
@@ -79,10 +65,9 @@ class PictureSource:
         return self._of(torch.tensor([photo]), torch.ones(1, 1), WHOLE)
 
     def _of(self, index: Tensor, weights: Tensor, window: Window) -> Pictures:
-        angles = torch.einsum("pk,kcij->pcij", weights, self.angles[index][..., *window])
         shown = _displayed(self.linear[index, *window], weights, self.capture.transfer)
         least, greatest = (limit[index, *window] for limit in self.limits)
-        return Pictures(shown, angles, index, weights, (least, greatest), window, self.capture.transfer)
+        return Pictures(shown, index, weights, (least, greatest), window, self.capture.transfer)
 
     def _window(self, random: torch.Generator) -> Window:
         room = self.capture.resolution - self.crop

@@ -8,11 +8,8 @@ import torch.nn.functional as F
 from helpers import ANALYTIC, MITSUBA, photos_of
 
 from mitsvbrdf.fit import FitTask, GanConfig, fit_svbrdf, gan_config, losses, make_method
-from mitsvbrdf.fit.generator.networks import PatchDiscriminator
-from mitsvbrdf.fit.generator.pictures import PictureSource
 from mitsvbrdf.fit.start import robust_start
 from mitsvbrdf.material.made import make_material
-from mitsvbrdf.material.maps import flat
 from mitsvbrdf.measure.metrics import map_rmse
 
 
@@ -28,7 +25,7 @@ def growing(monkeypatch):
 
 
 def gan_of(capture, renderer=ANALYTIC, **settings):
-    config = GanConfig(**{"width": 4, "pictures": 2, "head_start": 0.0} | settings)
+    config = GanConfig(**{"width": 4, "pictures": 2} | settings)
     config.check()
     return make_method(FitTask(capture, renderer, config))
 
@@ -86,30 +83,14 @@ def test_a_coarse_phase_has_64_texels_or_more():
     assert [p.halvings for p in config.phases(127)] == [0]
 
 
-def test_the_discriminator_has_a_head_start_in_each_phase(tiles, growing):
-    gan = gan_of(tiles, head_start=0.2, decay=False, learning_rate=1e-2, discriminator_rate=1e-3)
-
-    def rates(progress):
-        gan.step(progress)
-        return [gan.optimizers[name].param_groups[0]["lr"] for name in ("slow", "judge")]
-
-    # The second of two phases begins at 0.375: a tenth of the first is 0.0375 of the run, that of the second
-    # 0.0625.
-    assert rates(0.0) == [2e-4, 1e-3] and rates(0.3) == [1e-2, 1e-3]
-    assert rates(0.0375) == pytest.approx([5e-3, 1e-3])
-    assert rates(0.375) == [2e-4, 1e-3] and gan.phase == 1 and rates(0.4375) == pytest.approx([5e-3, 1e-3])
-    assert rates(0.3) == [1e-2, 1e-3] and gan.phase == 1  # resumed with a higher limit: it goes on as it was
-
-
 def test_phases_share_the_run(tiles, growing):
     config = GanConfig()
     assert sum(p.share for p in config.phases(64)) == pytest.approx(1)
     gan, seen = gan_of(tiles), []
-    for progress in (0.0, 0.2, 0.49, 0.51):
+    for progress in (0.0, 0.2, 0.49, 0.51, 0.3):  # resumed with a higher limit: it goes on as it was
         gan._enter_phase(progress)
         seen.append(gan.phase)
-    assert seen == [0, 0, 1, 1]  # 0.3 to 0.5: the first of the two phases ends at 0.375
-    assert gan._enter_phase(0.6875) == pytest.approx(0.5)
+    assert seen == [0, 0, 1, 1, 1]  # 0.3 to 0.5: the first of the two phases ends at 0.375
 
 
 @pytest.mark.slow
@@ -165,36 +146,14 @@ def test_features_match_where_activations_do():
     assert float(losses.features(real, [2 * r for r in real])) == pytest.approx(1.0, rel=1e-5)
 
 
-def test_a_discriminator_of_level_sees_how_bright_a_picture_is():
-    # Instance norm after the first layer takes a change of contrast out, but at the border.
-    photo = torch.rand(1, 3, 64, 64, generator=torch.Generator().manual_seed(0))
-    moved = {}
-    for level in (False, True):
-        torch.manual_seed(0)
-        judge = PatchDiscriminator(8, level=level)
-        with torch.no_grad():
-            logits = [judge.activations(x)[-1][..., 1:-1, 1:-1] for x in (photo, photo / 2, photo.flip(0, 2))]
-        moved[level] = float((logits[0] - logits[1]).std() / (logits[0] - logits[2]).std())
-    assert moved[True] > 2 * moved[False], moved
-
-
-@pytest.mark.parametrize("angles, paired, channels", [(False, False, 3), (True, False, 5), (True, True, 8)])
-def test_what_the_discriminator_is_told(angles, paired, channels, tiles):
-    gan = gan_of(tiles, angles=angles, paired=paired)
+@pytest.mark.parametrize("paired, channels", [(False, 3), (True, 6)])
+def test_what_the_discriminator_is_told(paired, channels, tiles):
+    gan = gan_of(tiles, paired=paired)
     assert gan.discriminator.layers[0][0].in_channels == channels
     pictures = gan.source.draw(2, gan.random)
     told = gan._told(pictures)
     assert (0 if told is None else told.shape[1]) == channels - 3
     assert math.isfinite(gan.step(0.0)["adversarial"])
-
-
-def test_highlights_lie_where_the_angles_are_small(tiles):
-    # Of a flat, smooth, specular patch the brightest pixel is where the half vector is nearest the normal.
-    angles = PictureSource(tiles, True).angles
-    images = ANALYTIC.render(flat(64, diffuse=0.0, specular=0.9, roughness=0.3), tiles.views)[..., 0]
-    for image, off in zip(images, angles[:, 0]):
-        bright, near = (divmod(int(where), 64) for where in (image.argmax(), off.argmin()))
-        assert max(abs(a - b) for a, b in zip(bright, near)) <= 2 and off.min() >= 0
 
 
 def test_what_later_substeps_do_not_move_is_computed_once(tiles):
