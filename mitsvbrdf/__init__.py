@@ -9,7 +9,7 @@ import importlib
 import os
 import sys
 
-__version__ = "1.0.0"
+__version__ = "2.0.0"
 
 _HOME = {
     "SVBRDF": "material.maps", "load_maps": "material.map_files", "save_maps": "material.map_files",
