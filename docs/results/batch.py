@@ -69,8 +69,8 @@ def page(record: dict) -> str:
 {as_markdown(ways(record["ways"]["rows"]))}
 
 The default fit of {sum(r["captures"] for r in record["ways"]["rows"] if r["way"] == LOOP)} captures at \
-{record["ways"]["resolution"]} px on two hardware threads, pages and start-up included. Groups of captures \
-were fitted in each way in turn.
+{record["ways"]["resolution"]} px on two hardware threads, pages and start-up included, version \
+{record["ways"]["versions"]["mitsvbrdf"]}. Groups of captures were fitted in each way in turn.
 
 ![Captures an hour](batch.svg)
 
@@ -78,8 +78,8 @@ were fitted in each way in turn.
 
 {as_markdown(costs(record["costs"]["rows"]))}
 
-Default fits as a worker does them: one thread, warm, other work beside them. The \
-first fit of a new worker takes \
+Default fits as a worker does them, version {record["costs"]["versions"]["mitsvbrdf"]}: one thread, warm, \
+other work beside them. The first fit of a new worker takes \
 {record["costs"]["cold"]["cpu_seconds"] - record["costs"]["warm"]["cpu_seconds"]:.1f} CPU seconds more.
 
 ## A batch in which everything dies
