@@ -124,6 +124,7 @@ def test_a_worker_of_another_library_or_version_does_not_fit(worker, changes, mo
     assert said["version"] == __version__ and worker.results.names() == []
 
 
+@pytest.mark.slow
 def test_pages_change_neither_maps_nor_figures(captures, tmp_path):
     record = replace(asked(captures[0], QUICK, resolution=SIDE, views="0,1,2,3,4,5,6")).record
     bare, full = (fit_capture(captures[0] / "capture.json", tmp_path / str(pages), record | {"pages": pages})

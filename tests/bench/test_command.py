@@ -19,6 +19,7 @@ def out(tmp_path, monkeypatch):
     return tmp_path / "b.jsonl"
 
 
+@pytest.mark.slow
 def test_the_page_and_its_picture_are_of_the_records(out, tmp_path, capsys):
     write_capture(photos_of(make_material("inlay", 16)), tmp_path / "data/captures/wood")
     words = [*TINY, "--json", str(out), "--captures", "wood", "--data", str(tmp_path / "data"),

@@ -26,6 +26,7 @@ def measured(task, path, methods=METHODS_, budgets=(0.1, 0.2), seeds=(0, 1)):
     return run(methods, [task], budgets, seeds, ANALYTIC, path)
 
 
+@pytest.mark.slow
 def test_a_run_that_was_stopped_anywhere_continues_with_the_same_records(task, tmp_path, monkeypatch):
     path, fitted, count = tmp_path / "b.jsonl", module._fitted, []
 

@@ -53,7 +53,7 @@ def compared(found, truth):
     return scale, np.hypot(*left[:, :2].T), np.abs(left[:, 2]) / truth[:, 2]
 
 
-@pytest.mark.parametrize("name", ["inlay", "leather"])
+@pytest.mark.parametrize("name", ["leather", pytest.param("inlay", marks=pytest.mark.slow)])
 def test_matt_material_is_placed_by_its_shading(name):
     material, views = make_material(name, 48), handheld(0)
     found = estimate_views(photos(SVBRDF(material.bsdf,

@@ -206,6 +206,7 @@ def test_of_photos_rectified_to_their_sheet_the_patch_is_cut_out(truth, tmp_path
         make_capture([Photo.open(path) for path in still], 18.0)
 
 
+@pytest.mark.slow
 def test_of_masked_photos_the_rest_is_used(made, truth, tmp_path):
     """Of the patch a disk, half of it, remains in each; of one photo nothing."""
     for name, pose in truth.items():

@@ -109,6 +109,7 @@ def test_a_pattern_that_repeats_itself_is_noted(tmp_path):
     assert any("repeats itself" in note for note in rig.notes)
 
 
+@pytest.mark.slow
 def test_photos_of_nothing_in_common(tmp_path):
     photos = [save(tmp_path, f"{i}.png", photo_of(texture(i), LENS, pose, i))
               for i, pose in enumerate(held(3).values())]
@@ -126,6 +127,7 @@ def test_no_exif_and_a_large_highlight(tmp_path):
     assert position_errors(rig, poses).max() < 0.002 and misalignment(rig, poses) < 0.06
 
 
+@pytest.mark.slow
 def test_a_photo_that_shows_another_part(tmp_path):
     poses = held(5, seed=4)
     poses["3.png"] = Pose.looking_at((0.1, 0.65, 1.5), (0.1, 0.65, 0.0))

@@ -87,6 +87,7 @@ def test_photos_that_do_not_help_are_named(tmp_path, photos):
     check(rig, poses | {"four.jpg": POSES[2]})
 
 
+@pytest.mark.slow
 def test_a_sheet_that_is_bent_in_all_photos_is_noted(tmp_path):
     bent = on_grey(*SHEET.picture(80))
     bent[:, 1000:] = np.roll(bent, 24, axis=0)[:, 1000:]  # its right side is 3 mm lower

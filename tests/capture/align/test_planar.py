@@ -20,6 +20,7 @@ def exact(lens, poses, columns, rows):
             for a, b in combinations(poses, 2)]
 
 
+@pytest.mark.slow
 def test_parallel_photos(tmp_path):
     """Moved sideways only, a focal length looks like a height, a tilt like a shift: the prior decides."""
     poses = {f"{i}.png": Pose(np.array([x, y, 1.5]), np.diag((1.0, -1.0, -1.0)))

@@ -58,7 +58,7 @@ def test_tags_that_the_edge_of_the_photo_cuts_are_measured_inside(tmp_path, posi
         assert np.abs(four - project(CLOSE, pose, SHEET.corners[number])).max() < 1.0
 
 
-@pytest.mark.parametrize("around", [0, 20])
+@pytest.mark.parametrize("around", [pytest.param(0, marks=pytest.mark.slow), 20])
 def test_a_sheet_cut_at_its_tags_on_a_dark_material(tmp_path, around):
     picture, hole = SHEET.picture(80)
     rim = round(2 * SHEET.cell * 80)

@@ -149,7 +149,7 @@ def test_deviations_of_paper_are_the_size_of_its_errors():
 
 
 # material
-@pytest.mark.parametrize("f0", [0.0, 0.04])
+@pytest.mark.parametrize("f0", [pytest.param(0.0, marks=pytest.mark.slow), 0.04])
 def test_material_tells_flash_vignetting_and_exposures(f0):
     rng = np.random.default_rng(4)
     rig, exposures = make_rig("patch sides", rng), 0.02 * rng.normal(size=9)
@@ -167,6 +167,7 @@ def test_material_tells_flash_vignetting_and_exposures(f0):
     assert 0.3 < shading.deviations["log_intensity"] < 1.2 and "how bright" in shading.notes[0]
 
 
+@pytest.mark.slow
 def test_photo_without_flash_is_told_and_does_not_count():
     rng = np.random.default_rng(5)
     rig = make_rig("patch sides", rng)
@@ -240,7 +241,7 @@ def test_a_white_balance_that_drifts_is_the_light_s_colour_in_these_photos():
 
 
 @pytest.mark.parametrize("seed", [*(pytest.param(seed, marks=pytest.mark.slow) for seed in (5, 6)), 7])
-@pytest.mark.parametrize("f0", [0.04, 0.3])
+@pytest.mark.parametrize("f0", [pytest.param(0.04, marks=pytest.mark.slow), 0.3])
 def test_highlights_that_pale_are_no_white_balance_but_a_drift_is(seed, f0):
     """Coloured texels under a white lobe; without the spread over texels, seed 7 of 0.3 was off by 4 %."""
     rng = np.random.default_rng(seed)

@@ -33,6 +33,7 @@ def test_a_flash_at_the_lens_or_more_noise_than_stated_turns_nothing(seed):
         assert not asked(signs[:, None] * noise, 0.05).turned(signs)
 
 
+@pytest.mark.slow
 def test_photos_saved_upside_down_are_turned_and_named_and_a_phone_held_so_is_not(tmp_path):
     what, true = ground(), dict(list(poses().items())[:6])
     true["IMG_0.jpg"] = true["IMG_0.jpg"].upside_down()  # held so: its flash turns with it

@@ -126,7 +126,7 @@ def test_any_options(options, kind, tiles, monkeypatch):
         assert (result.svbrdf["specular"] == result.svbrdf["specular"][..., :1]).all()
 
 
-@pytest.mark.parametrize("renderer", ["analytic", "mitsuba-scene"])
+@pytest.mark.parametrize("renderer", ["analytic", pytest.param("mitsuba-scene", marks=pytest.mark.slow)])
 def test_the_renderer_only_draws_the_comparison(renderer, capture):
     shots, config = capture.averaged(8), HierarchicalConfig(iterations=3)
     plain, other = (fit_svbrdf(shots, make_renderer(name), config) for name in ("mitsuba", renderer))

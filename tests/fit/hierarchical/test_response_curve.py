@@ -151,6 +151,7 @@ def test_a_curve_by_which_photos_predict_each_other_worse_is_refused(monkeypatch
     assert method.real.curve is None and method.scale.capture.transfer == "gamma2.2"
 
 
+@pytest.mark.slow
 def test_the_game_of_gan_sees_through_the_curve_of_its_first_solver(bent, monkeypatch):
     monkeypatch.setattr(stages, "EXACT", 0.0)
     method = make_method(FitTask(bent[0], MITSUBA, GanConfig()))
@@ -163,6 +164,7 @@ def test_the_game_of_gan_sees_through_the_curve_of_its_first_solver(bent, monkey
     assert again.solvers[1].capture.transfer == again.without.capture.transfer == method.capture.transfer
 
 
+@pytest.mark.slow
 def test_a_resumed_fit_has_the_curve(bent):
     method, again = (method_of(bent[0], exact=False) for _ in range(2))
     while method.stages.stage != Stage.FINE:

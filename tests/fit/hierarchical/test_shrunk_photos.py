@@ -24,6 +24,7 @@ def test_a_fit_tells_of_texels_that_mix(tmp_path):
     assert told(read_capture(tmp_path, LESS)) == 1
 
 
+@pytest.mark.slow
 def test_nothing_is_told_of_photos_that_still_follow_the_model():
     inlay = make_material("inlay", LESS)
     assert told(photos_of(inlay)) == 0  # not shrunk
