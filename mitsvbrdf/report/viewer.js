@@ -29,7 +29,8 @@
   // As report/viewer.py's encode says: per channel a plane of high bytes, then one of low bytes.
   async function decodeMaps() {
     const text = atob(find(".payload").textContent);
-    const packed = Uint8Array.from(text, (letter) => letter.charCodeAt(0));
+    const packed = new Uint8Array(text.length);
+    for (let i = 0; i < text.length; i++) packed[i] = text.charCodeAt(i);
     const stream = new Blob([packed]).stream().pipeThrough(new DecompressionStream("deflate"));
     const bytes = new Uint8Array(await new Response(stream).arrayBuffer());
     const maps = {};
@@ -96,7 +97,7 @@
 
     texture(unit, name, channels) {
       const gl = this.gl, { height, width } = about.maps[0], texels = new Float32Array(4 * height * width);
-      channels.forEach((values, channel) => values.forEach((value, i) => { texels[4 * i + channel] = value; }));
+      channels.forEach((values, channel) => { for (let i = 0; i < values.length; i++) texels[4 * i + channel] = values[i]; });
       gl.activeTexture(gl.TEXTURE0 + unit);
       gl.bindTexture(gl.TEXTURE_2D, gl.createTexture());
       gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA32F, width, height, 0, gl.RGBA, gl.FLOAT, texels);
@@ -324,9 +325,14 @@
     return true;
   }
 
+  let begun = null;
+  new IntersectionObserver((seen, watch) => {  // a page that is not read that far opens without it
+    if (seen.some((each) => each.isIntersecting)) { watch.disconnect(); begun ??= begin(); }
+  }).observe(section);
+
   window.mitsvbrdfViewer = {
     state, set,
-    ready: begin(),  // whether it can draw
+    get ready() { return begun ??= begin(); },  // whether it can draw
     get fine() { return fine; },  // whether what stands there is as fine as it gets
     // Pixels of a square picture, four values each, row 0 at the top: bytes of sRGB, or, if `linear`, floats of linear
     // radiance. Whatever of the state is not given is as it stands. view: patch, sphere, or rectified, where pixel = texel

@@ -33,7 +33,7 @@ def shown(svbrdf: SVBRDF, folder, width: int = 420, **window):
 def canvas_picture(page) -> np.ndarray:
     """What the window shows of the canvas, RGB bytes, after it has come to rest."""
     page.wait_for_timeout(50)  # what was just changed is drawn in the next frame
-    page.wait_for_function("mitsvbrdfViewer.fine")
+    page.wait_for_function("mitsvbrdfViewer.fine", timeout=120_000)  # a large canvas, drawn by software
     data = np.frombuffer(page.locator("canvas").screenshot(), np.uint8)
     return cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1].astype(int)
 

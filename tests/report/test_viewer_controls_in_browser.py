@@ -72,6 +72,19 @@ def test_every_control_is_reached_by_tab_and_has_a_name(tmp_path):
 
 
 @pytest.mark.slow
+def test_nothing_is_decoded_or_drawn_before_it_is_in_view(tmp_path):
+    file = tmp_path / "viewer.html"
+    text = page_text("report/base.html", title="A material")
+    file.write_text(text.replace("</body>", f'<p style="height: 3000px">{viewer_html(flat(8))}</body>'))
+    with opened(file, width=420, height=600) as page:
+        page.wait_for_timeout(500)
+        assert not page.evaluate("mitsvbrdfViewer.fine") and page.locator(".status").text_content() == ""
+        page.locator("canvas").scroll_into_view_if_needed()
+        canvas_picture(page)
+        assert page.locator(".status").text_content().startswith("Light")
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("width", [320, 390, 1280])
 def test_on_a_phone(width, tmp_path):
     with shown(make_material("leather", 32), tmp_path, width=width, height=800, phone=width < 600,
