@@ -25,7 +25,7 @@ class BatchSettings:
     retries: int = 2
     """How often a fit is tried again that crashed, or took more time or memory than allowed."""
     timeout: float | None = None
-    """Seconds that a fit may take. Default: an hour and 3 times its budget."""
+    """Seconds that a fit may take. Default: an hour plus 3 times the budget; none with --iterations alone."""
     memory: float | None = None
     """GiB that a worker may take. Default: an equal share of what is free here; no limit on a cluster."""
     retry_failed: bool = False

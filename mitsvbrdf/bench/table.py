@@ -36,10 +36,10 @@ def judged(records: Iterable[Mapping[str, Any]]) -> Iterator[Judged]:
 def summary(records: Iterable[Mapping[str, Any]], error: str) -> pd.DataFrame:
     """What every method reaches at every budget, by a name in the ``errors`` of fits of one kind.
 
-    The error of a seed is the mean over tasks. A seed that lacks a task, or failed at one, does not count. By
-    method (in the order of the records) and budget: ``median``, ``low`` and ``high`` (quartiles) over
-    ``seeds`` seeds; ``seconds`` of the loop and on the ``wall``, medians; whether all ``ended`` by
-    themselves.
+    The error of a method with one seed and budget is its mean over tasks. A seed that lacks a task, or failed
+    at one, does not count. By method (in the order of the records) and budget: ``median``, ``low`` and
+    ``high`` (quartiles) over ``seeds`` seeds; ``seconds`` of the loop and on the ``wall``, medians; whether
+    all ``ended`` by themselves.
     """
     records = list(records)
     tasks = len({record["name"] for record in records})

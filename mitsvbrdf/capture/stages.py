@@ -1,7 +1,7 @@
 """From raw photos to a capture, in stages: photos of one camera, poses, rectified photos, light, verdicts.
 
-Each stage is a function from a value to a value, and says which photos it rejects, and why. One photo at a
-time is in memory. Of each photo, the rectified patch is kept.
+Stages are functions without side effects. Those that reject photos return the reasons. One photo at a time
+is in memory. Of each photo, the rectified patch is kept.
 """
 
 import math
@@ -78,7 +78,7 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
             :func:`~mitsvbrdf.capture.align.from_photos.rig_from_photos`.
 
     Raises:
-        CaptureError: fewer than three photos can be used, with the reasons.
+        CaptureError: fewer than three photos can be used; the message gives the reasons.
         OnePlace: all photos are from one place, and not rectified to a sheet.
         ConfigError: options out of range.
     """

@@ -36,7 +36,7 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
 
     Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as
     (n + 1) / 2. Re-rendering RMSE is in display values clipped to [0, 1], over all pixels. A photo that the
-    fit saw has the view that the fit ended with, so its error is the one that the fit printed. A held-out
+    fit saw is rendered with the final view of the fit, so its error is the one the fit printed. A held-out
     photo has its calibration and the flash offset of the fit; a further line has these for all photos.
     Burn-in is the share of the variance of a map that follows the highlights of the photos of the fit
     (without a fit.json: of the photos given).

@@ -52,10 +52,10 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
         overwrite: Overwrite = False, strict: Strict = False, advanced: Advanced = False) -> int:
     """Recover the maps of a material from photos.
 
-    `mitsvbrdf fit photos/ -o out` is enough. The default method ends by itself, after 120 s at the latest
-    up to 1024 px (--budget). It shows rmse, the re-rendering error so far, and cost, which it minimises:
-    squared errors over the noise plus distances from expected values, the mean of all texels. Cost has no
-    unit and can rise in a new round.
+    `mitsvbrdf fit photos/ -o out` is enough. The default method ends by itself. Up to 1024 px it begins
+    no step that would end after 120 s (--budget). It shows rmse, the re-rendering error so far, and cost,
+    which it minimises: squared errors over the noise plus distances from expected values, the mean of all
+    texels. Cost has no unit and can rise in a new round.
 
     Hold photos out with --views 0,1,2,3,5,6,8 and predict them with `mitsvbrdf evaluate out --capture photos/
     --views 4,7`: the honest test of a fit. The paper's method is --method gan --preset paper-one-stage;

@@ -33,7 +33,7 @@ Reference = Annotated[str | None, arg(help="Known maps: a folder, a .glb file or
 # Commands with this parameter run inside errors.strict: see cli.command.
 # How the files of --reference are read, and those of MAPS in a command without it.
 MapEncoding = UseAppendAction[Annotated[tuple[str, ...], arg(metavar="NAME=CODE", help=(
-    "Encoding of known maps, if they do not state it: linear, srgb or gamma2.2 for each map, or one for all; "
+    "Encoding of known maps of 8 or 16 bits, whatever they state: linear, srgb or gamma2.2, for each or all; "
     "normal=dx or normal=gl. May be repeated."))]]
 MapNormal = Annotated[Literal["auto", "gl", "dx"], arg(help=(
     "Normals of known maps. dx: DirectX, +Y down. auto: as stated, else found from the slopes."))]

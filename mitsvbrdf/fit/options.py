@@ -52,7 +52,7 @@ class FitOptions:
     """Steps of --detail gan. 80 take under a minute at 256 px."""
 
     def check(self, config: FitConfig) -> None:
-        """Raise ConfigError for options out of range, or that do not fit the method's settings."""
+        """Raise ConfigError for an option out of range or in conflict with the settings of the method."""
         config.check()
         (self.detail_config(config) or DetailConfig()).check()
         if self.resolution < 8:

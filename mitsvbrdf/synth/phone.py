@@ -32,7 +32,7 @@ class HandheldPhone:
     megapixels: float = 12.0
     """Size of a photo, whose sides are 4 : 3. 12 megapixels are 4032 x 3024."""
     photos: int = 9
-    """Number of photos. Their positions are like those of the nine-view grid."""
+    """Number of photos. They are taken near the places of the nine-view grid."""
     sheet: float | None = None
     """Side of the sheet of tags on the material, over the tags' outer edges. Default: no sheet."""
     depth: float = PAPER_THICKNESS

@@ -57,7 +57,7 @@ def outline(lens: Lens, pose: Pose) -> Array:
 def largest_square(outlines: Sequence[Array]) -> float:
     """Side of the largest upright square in all outlines; below 0: there is none.
 
-    A linear programme: a square of half side h is in a half plane where n . centre + h (|n_x| + |n_y|) <= b.
+    A linear programme: the largest h. A square lies in n . x <= b where n . centre + h (|n_x| + |n_y|) <= b.
     """
     sides = HALF_PLANE.unpack(np.concatenate(outlines))
     reach = np.abs(sides.normal).sum(axis=1)
