@@ -5,18 +5,18 @@ import importlib.util
 import json
 import re
 import sys
-from dataclasses import fields, replace
+from dataclasses import fields
 
 import pytest
 from helpers import ROOT
 
 import mitsvbrdf
 from mitsvbrdf.bench.plot import svg
-from mitsvbrdf.bench.run import method_table
 
 FOLDER = ROOT / "docs/results"
 SCRIPTS = sorted(FOLDER.glob("*.py"))
-OTHERS = {"pandas", "numpy", "matplotlib", "torch"}
+USABLE = "mitsvbrdf.bench.", "mitsvbrdf.render.needs"  # the latter is a parameter of make_renderer
+OTHERS = {"pandas", "numpy", "matplotlib", "torch", "flip_evaluator"}
 each_script = pytest.mark.parametrize("script", SCRIPTS, ids=[path.stem for path in SCRIPTS])
 
 
@@ -25,10 +25,6 @@ def loaded(script):
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
-
-
-def record_of(script):
-    return json.loads(script.with_suffix(".json").read_text())
 
 
 @each_script
@@ -41,13 +37,14 @@ def test_a_script_imports_public_names_alone(script):
             assert root in OTHERS | {"mitsvbrdf"} or root in sys.stdlib_module_names, module
             if root == "mitsvbrdf" and isinstance(node, ast.ImportFrom):
                 names = {alias.name for alias in node.names}
-                assert names <= set(mitsvbrdf.__all__) or module.startswith("mitsvbrdf.bench.")
+                assert names <= set(mitsvbrdf.__all__) or module.startswith(USABLE)
                 assert not any(name.startswith("_") for name in names)
 
 
 @each_script
 def test_a_page_is_what_its_record_makes(script):
-    assert loaded(script).page(record_of(script)) == script.with_suffix(".md").read_text(), f"python {script}"
+    record = json.loads(script.with_suffix(".json").read_text())
+    assert loaded(script).page(record) == script.with_suffix(".md").read_text(), f"python {script}"
 
 
 @pytest.mark.slow
@@ -56,7 +53,7 @@ def test_a_picture_is_what_its_record_makes(script):
     def drawn(picture: bytes) -> bytes:  # digests of numbers name clip paths; the CPU decides last bits
         return re.sub(rb"\bp[0-9a-f]{10}\b", b"clip", picture)
 
-    found = svg(loaded(script).figure(record_of(script)))
+    found = svg(loaded(script).figure(json.loads(script.with_suffix(".json").read_text())))
     assert drawn(found) == drawn(script.with_suffix(".svg").read_bytes())
 
 
@@ -68,14 +65,9 @@ def test_there_are_at_most_ten_pages_and_nothing_beside_them():
         assert path.stem in pages or path.name in shown or path.name == "__pycache__", path
 
 
-@pytest.mark.parametrize("name, config", [("ablation", "HierarchicalConfig"), ("gan", "GanConfig")])
+@pytest.mark.parametrize("name, config", [("omitted", "HierarchicalConfig"), ("gan", "GanConfig")])
 def test_every_variant_can_be_measured(name, config):
     kind = getattr(mitsvbrdf, config)
     for changes in loaded(FOLDER / f"{name}.py").VARIANTS.values():
         assert set(changes) <= {field.name for field in fields(kind)}
         kind(**changes).check()
-
-
-def test_every_part_that_is_omitted_has_settings():
-    for method, changes, _ in loaded(FOLDER / "omitted.py").SETTINGS.values():
-        replace(method_table()[method], **changes).check()

@@ -1,8 +1,8 @@
-"""A batch against a loop of the shell, what one material costs, and a batch in which everything dies.
+"""A batch against a loop of the shell, and a batch in which everything dies.
 
 ``python docs/results/batch.py`` makes batch.md and batch.svg from batch.json; with ``measure`` behind it
-the ways to fit the captures of MITSVBRDF_DATA are timed first (an hour). Costs and deaths stay as they were
-measured.
+the ways to fit the captures of MITSVBRDF_DATA are timed first (an hour). ``chaos`` in batch.json is what
+``python tests/batch/chaos.py`` prints.
 """
 
 import json
@@ -16,6 +16,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
+import mitsvbrdf
 from mitsvbrdf.bench.plot import svg
 from mitsvbrdf.bench.table import as_markdown
 
@@ -24,31 +25,20 @@ LOOP = "a loop of the shell"
 WAYS = {"two workers, one thread each": ["--workers", "2", "--threads", "1"],
         "one worker, two threads": ["--workers", "1", "--threads", "2"], LOOP: None}
 COUNTED = ("folders", "identities", "torn", "attempts")
-MIB = 1 << 20
 
 
 def ways(rows: list) -> pd.DataFrame:
-    """Captures an hour of each way, over those of the loop in each group, peak memory and error."""
+    """Captures an hour of each way, over those of the loop in each group, and error."""
     found = pd.DataFrame(rows)
     hours = found.pivot(index="way", columns="group", values="seconds")
     ratios = hours.loc[LOOP] / hours
     totals = found.groupby("way", sort=False).agg(captures=("captures", "sum"), seconds=("seconds", "sum"),
-                                                  peak=("peak_bytes", "max"), error=("error", "mean"))
+                                                  error=("error", "mean"))
     cells = {way: [f"{3600 * row['captures'] / row['seconds']:.0f}",
                    f"{ratios.loc[way].median():.2f} ({', '.join(f'{x:.2f}' for x in ratios.loc[way])})",
-                   f"{row['peak'] / 1024 / MIB:.2f}", f"{row['error']:.4f}"] for way,
-                   row in totals.iterrows()}
+                   f"{row['error']:.4f}"] for way, row in totals.iterrows()}
     return pd.DataFrame.from_dict(cells, orient="index", columns=[
-        "captures an hour", "of the loop's (each group)", "peak memory, GiB", "mean RMSE"])
-
-
-def costs(rows: list) -> pd.DataFrame:
-    """What one fit takes."""
-    cells = {f"{r['capture']}, {r['photos']} photos, {r['resolution']} px, pages {r['pages']}": [
-        f"{r['cpu_seconds']:.1f}", f"{r['seconds']:.1f}", f"{r['peak_bytes'] / MIB:.0f}",
-        f"{r['capture_bytes'] / MIB:.2f}", f"{r['result_bytes'] / MIB:.2f}", r["files"]] for r in rows}
-    return pd.DataFrame.from_dict(cells, orient="index", columns=[
-        "CPU s", "s", "peak MiB", "capture MiB", "result MiB", "files"])
+        "captures an hour", "of the loop's (each group)", "mean RMSE"])
 
 
 def deaths(chaos: dict) -> pd.DataFrame:
@@ -70,17 +60,9 @@ def page(record: dict) -> str:
 
 The default fit of {sum(r["captures"] for r in record["ways"]["rows"] if r["way"] == LOOP)} captures at \
 {record["ways"]["resolution"]} px on two hardware threads, pages and start-up included, version \
-{record["ways"]["versions"]["mitsvbrdf"]}. Groups of captures were fitted in each way in turn.
+{record["ways"]["version"]}. Groups of captures were fitted in each way in turn.
 
 ![Captures an hour](batch.svg)
-
-## What one material costs
-
-{as_markdown(costs(record["costs"]["rows"]))}
-
-Default fits as a worker does them, version {record["costs"]["versions"]["mitsvbrdf"]}: one thread, warm, \
-other work beside them. The first fit of a new worker takes \
-{record["costs"]["cold"]["cpu_seconds"] - record["costs"]["warm"]["cpu_seconds"]:.1f} CPU seconds more.
 
 ## A batch in which everything dies
 
@@ -120,8 +102,7 @@ def timed(way: str, captures: list, resolution: int) -> dict:
         seconds = time.monotonic() - began
         errors = [json.loads(path.read_text())["rerender_rmse"] for path in Path(folder).rglob("fit.json")]
     return {"way": way, "captures": len(captures), "seconds": round(seconds, 1),
-            "per_hour": 3600 * len(captures) / seconds,
-            "peak_bytes": 0, "error": sum(errors) / len(errors)}  # memory is measured from outside
+            "per_hour": 3600 * len(captures) / seconds, "error": sum(errors) / len(errors)}
 
 
 def measure(record: dict) -> dict:
@@ -132,7 +113,7 @@ def measure(record: dict) -> dict:
         for way in names[group:] + names[:group]:
             rows.append(timed(way, captures[group::3], record["ways"]["resolution"]) | {"group": group})
             print(rows[-1], flush=True)
-    return {**record, "ways": {**record["ways"], "rows": rows}}
+    return {**record, "ways": {**record["ways"], "version": mitsvbrdf.__version__, "rows": rows}}
 
 
 if __name__ == "__main__":

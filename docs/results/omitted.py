@@ -1,14 +1,15 @@
-"""What a render or a fit does not need, and what omitting it saves.
+"""What a fit or a render can do without, and what omitting it saves and costs.
 
-``python docs/results/omitted.py`` makes omitted.md and omitted.svg from omitted.json; with ``measure``
-behind it the pairs of fits that settings make are timed first (half an hour; MITSVBRDF_DATA names
-cards-blue). Parts that no setting takes away, and renders, stay as they were measured.
+``python docs/results/omitted.py`` makes omitted.md and omitted.svg from omitted.json. With ``fits``,
+``renders`` or ``detail`` behind it that part is measured first (an hour, minutes, an hour; MITSVBRDF_DATA
+names the photos; ``fits`` goes on where it was stopped).
 """
 
 import json
 import statistics
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,148 +20,286 @@ from mitsvbrdf.bench.plot import svg
 from mitsvbrdf.bench.table import as_markdown
 
 HERE = Path(__file__).parent
-SHOWN = {"mean": "maps", "novel_light": "new light", "left_out": "held out", "photos": "seen", "seen": "seen"}
-UNSEEN = ("maps", "new light", "held out")  # the errors that decide
+ERRORS = {"material": {"mean": "maps", "novel_light": "new light"},
+          "capture": {"held_out": "held-out photos", "seen": "photos seen"}}
 FLOOR = 0.001  # errors below count as this
-SAVES, COSTS = 1.05, 1.02  # ratios from which seconds count as saved, and errors as a cost
-# names of parts in the record, as pages have them
-NOW = {"rival starts": "many starts", "photos left out in turn": "cross-validation",
-       "adversarial finish": "plausible detail"}
+PATCHES, RMSE = 0.8, 1.1  # of the maps' errors: the bar of detail
+HELD_OUT = (4, 7)
+SIDE, TURNS = 256, 9  # of renders
 
-# A part of a fit -> method, settings that take it away, scenes.
-SETTINGS = {
-    "rival starts": ("hierarchical", {"multi_start": False}, ("inlay",)),
-    "view refinement": ("hierarchical", {"calibrate": False}, ("cards-blue",)),
-    "flash offset": ("hierarchical", {"flash_offset": False}, ("cards-blue",)),
-    "other starts of texels": ("hierarchical", {"neighbours": False}, ("inlay", "cards-blue")),
-    "look-alikes": ("hierarchical", {"materials": 1}, ("inlay", "cards-blue")),
-    "discriminator": ("hybrid", {"adversarial": 0.0}, ("inlay", "cards-blue")),
-    "photometric loss": ("hybrid", {"photometric": 0.0}, ("inlay", "cards-blue")),
-    "feature matching": ("gan", {"features": 0.0}, ("inlay", "cards-blue")),
+# A part of the default method -> the settings of HierarchicalConfig that take it away. Photos of known
+# materials follow the model exactly, so what is for other photos is omitted from them by itself.
+VARIANTS = {
+    "basis materials": {"materials": 1},
+    "neighbours as starts": {"neighbours": False},
+    "many starts": {"multi_start": False},
+    "freedom at full size": {"detail_spread": 0.0},
+    "weights of pixels": {"highlight_reach": 0.0},
+    "flash offset": {"flash_offset": False},
+    "view refinement": {"calibrate": False},
+}
+PARTS = {"material": list(VARIANTS)[:3],
+         "capture": [part for part in VARIANTS if part != "many starts"]}  # which is for exact photos
+# A part of a render -> renderer, BSDF, maps by name (None: as made), and what of Needs is put in again.
+RENDERS = {
+    "specular lobe, where the map is 0": ("mitsuba", "roughconductor", {"specular": 0.0}, "specular_lobe"),
+    "diffuse lobe, where the map is 0": ("mitsuba", "roughconductor", {"diffuse": 0.0}, "diffuse_lobe"),
+    "colour of a grey specular map": ("mitsuba", "roughconductor", {"specular": 0.3}, "coloured_specular"),
+    "normal map, where it is flat": ("mitsuba", "roughconductor", {"normal": None}, "normal_map"),
+    "metallic map, where it is 0": ("mitsuba", "principled", {"metallic": 0.0}, "metallic"),
+    "Fresnel curve, where the light is at the camera": ("mitsuba", "roughconductor", {}, "fresnel_curve"),
+    "more than one bounce": ("mitsuba-scene", "roughconductor", {}, "path_depth"),
+    "shadow rays": ("mitsuba-scene", "roughconductor", {}, "shadow_rays"),
+    "environment": ("mitsuba-scene", "roughconductor", {}, "environment"),
 }
 
 
+def ratios(records: list, kind: str, value) -> pd.DataFrame:  # noqa: ANN001
+    """A value of fits without each part, over that of the whole method; a row for each task."""
+    rows = [{"method": r["method"], "name": r["name"], "value": value(r)} for r in records
+            if r["kind"] == kind]
+    found = pd.DataFrame(rows).pivot(index="name", columns="method", values="value")
+    return found[PARTS[kind]].div(found["full"], axis=0)
+
+
+def spread(values: pd.Series) -> str:
+    """Median and quartiles."""
+    low, middle, high = values.quantile([0.25, 0.5, 0.75])
+    return f"{middle:.2f} ({low:.2f} to {high:.2f})"
+
+
+def fits(records: list, kind: str) -> pd.DataFrame:
+    """Errors and seconds without each part, over those of the whole method."""
+    found = {title: ratios(records, kind, lambda r, error=error: max(r["errors"][error], FLOOR))
+             for error, title in ERRORS[kind].items()}
+    found["seconds"] = ratios(records, kind, lambda r: r["seconds"])
+    return pd.DataFrame({title: {part: spread(each[part]) for part in each} for title, each in found.items()})
+
+
 def renders(records: list) -> pd.DataFrame:
-    """Seconds and difference of images with and without what is omitted."""
+    """Milliseconds with and without what is omitted, their ratio, and how far pictures differ."""
     rows = {}
     for r in records:
-        full, lean = (r["seconds"][side]["median"] for side in ("full", "lean"))
-        if full / lean >= SAVES:
-            rows[f"{NOW.get(r['name'], r['name'])} ({r['where']})"] = [
-                r["why"], f"{r['worst']:.2g}", f"{1e3 * full:.3g}", f"{1e3 * lean:.3g}", f"{full / lean:.2f}"]
+        each = pd.Series(r["with"]) / pd.Series(r["without"])
+        rows[f"{r['part']} (`{r['renderer']}`)"] = [
+            *(f"{1e3 * statistics.median(r[side]):.3g}" for side in ("with", "without")), spread(each),
+            f"{r['difference']:.1g}"]
     return pd.DataFrame.from_dict(rows, orient="index", columns=[
-        "when", "largest difference", "with, ms", "without, ms", "ratio"])
+        "with, ms", "without, ms", "ratio", "largest difference"])
 
 
-def fits(records: list) -> pd.DataFrame:
-    """Seconds with over without, errors without over with, and verdict, of each part and kind of photos."""
-    rows = {}
-    first = {part: n for n, part in enumerate(dict.fromkeys((r["of"], r["part"]) for r in records))}
-    for r in sorted(records, key=lambda r: (r["of"] != "hierarchical", first[r["of"], r["part"]])):
-        pairs = sorted(a / b for a, b in zip(r["seconds"]["with"], r["seconds"]["without"]))
-        low, ratio, high = statistics.quantiles(pairs, n=4, method="inclusive")
-        errors = {shown: max(r["errors"]["without"][name], FLOOR) / max(r["errors"]["with"][name], FLOOR)
-                  for name, shown in SHOWN.items() if name in r["errors"]["with"]
-                  and (r["kind"], shown) != ("exact, matte",
-                                             "maps")}  # roughness of a black lobe shows nowhere
-        worst = max((errors[name] for name in UNSEEN if name in errors), default=1.0)
-        verdict = "needed" if worst > COSTS else "not needed" if ratio >= SAVES else "no time saved"
-        itself = " (by itself)" if r["put_in"] else ""
-        rows[f"{NOW.get(r['part'], r['part'])}, `{r['of']}`: {r['kind']}{itself}"] = [
-            f"{ratio:.2f} ({low:.2f} to {high:.2f})",
-            *(f"{errors[name]:.3f}" if name in errors else "–" for name in (*UNSEEN, "seen")), verdict]
-    return pd.DataFrame.from_dict(rows, orient="index",
-                                  columns=["seconds, with / without", *UNSEEN, "seen", "verdict"])
-
-
-def suite(record: dict, name: str) -> list:
-    """The records of one kind."""
-    return [r for r in record["records"] if r["suite"] == name]
+def detail(rows: list) -> pd.DataFrame:
+    """Figures of held-out photos: of the maps, and with detail."""
+    found = {}
+    for row in rows:
+        maps, look = row["maps"], row["detail"]
+        share = {error: look[error] / maps[error] for error in ("patches", "rmse", "flip")}
+        met = share["patches"] <= PATCHES and share["rmse"] <= RMSE
+        found[row["name"]] = [
+            f"{row['highlights']:.0%}",
+            *(f"{maps[error]:.4f} → {look[error]:.4f} ({share[error]:.2f})" for error in share),
+            "met" if met else "missed"]
+    return pd.DataFrame.from_dict(found, orient="index",
+                                  columns=["highlights", "patches", "RMSE", "FLIP", "bar"])
 
 
 def page(record: dict) -> str:
     """The text of omitted.md."""
+    versions = " and ".join(dict.fromkeys(r["version"] for r in record["fits"]))
+    counts = {kind: len({r["name"] for r in record["fits"] if r["kind"] == kind})
+              for kind in ("material", "capture")}
+    added = detail(record["detail"])
     return f"""# What is omitted, and what that saves
 
 ## Of a fit
 
-{as_markdown(fits(suite(record, "leave-out")))}
+{as_markdown(fits(record["fits"], "material"))}
 
-Fits at 64 px, version {record["versions"]["mitsvbrdf"]}, three turns of each pair. Seconds are those with \
-the part over those without it, errors those \
-without it over those with it. *By itself*: \
-the program omits the part for such photos (`fit --explain`). *Needed*: an error of maps, under new \
-light or of held-out photos grows by more than {COSTS - 1:.0%}; *not needed*: none does and at least \
-{SAVES - 1:.0%} of the seconds are saved.
+{counts["material"]} known materials, whose photos follow the model: what is for other photos is omitted by \
+itself (`fit --explain`).
 
-![Seconds against errors](omitted.svg)
+{as_markdown(fits(record["fits"], "capture"))}
+
+{counts["capture"]} captures without photos 4 and 7. Both tables: errors and seconds of the loop without a \
+part over those of the whole method, median and quartiles; above 1.00 the error grows without the part. \
+128 px, seed 0, version {versions}, one core.
+
+![Errors of held-out photos without each part](omitted.svg)
 
 ## Of a render
 
-{as_markdown(renders(suite(record, "leave-out-renders")))}
+{as_markdown(renders(record["renders"]))}
 
-Nine co-located views of 256 px, forward and backward, median of nine turns. Differences are at most \
-float32's rounding. The JSON has {len(suite(record, "leave-out-renders"))} items; those that save less than \
-5 % are not shown.
+Nine views of {SIDE} px, forward and backward to the maps that are not held fixed, median and quartiles of \
+{TURNS} turns. No scene here needs the part; *with* computes it all the same. The largest difference is over \
+the brightest pixel.
+
+## Plausible detail
+
+{as_markdown(added)}
+
+`fit --detail gan`, 128 px, held-out photos 4 and 7: error of the maps → with detail (ratio). *Patches* is \
+the sliced Wasserstein distance of 7 x 7 patches inside highlights, *highlights* the share of these pixels. \
+{(added["bar"] == "met").sum()} of {len(added)} captures meet the bar (patches at most {PATCHES} and RMSE at \
+most {RMSE} times those of the maps), so detail is omitted unless asked for.
 """
 
 
 def figure(record: dict) -> Figure:
-    """What each part saves against what omitting it costs."""
-    drawing = Figure(figsize=(6, 3.6), layout="constrained")
+    """A box for each part: held-out error without it over that with it."""
+    found = ratios(record["fits"], "capture", lambda r: r["errors"]["held_out"])
+    drawing = Figure(figsize=(7, 3), layout="constrained")
     axes = drawing.subplots()
-    found = fits(suite(record, "leave-out"))
-    for verdict, rows in found.groupby("verdict", sort=False):
-        cost = rows[list(UNSEEN)].apply(pd.to_numeric, errors="coerce").max(axis=1)
-        axes.plot(rows["seconds, with / without"].str.split().str[0].astype(float), cost, "o", markersize=4,
-                  label=verdict)
-    axes.axhline(COSTS, color="0.6", linewidth=1)
-    axes.axvline(SAVES, color="0.6", linewidth=1)
-    axes.set(xscale="log", yscale="log", xlabel="seconds with / without",
-             ylabel="largest error without / with")
-    axes.legend(fontsize=8)
+    axes.boxplot([found[name] for name in found], orientation="horizontal", tick_labels=list(found))
+    axes.axvline(1, color="0.6", linewidth=1)
+    axes.invert_yaxis()
+    axes.set_xlabel("RMSE of held-out photos without the part / with it")
     return drawing
 
 
-def measure(record: dict) -> dict:
-    """Time the pairs of :data:`SETTINGS`, turn by turn."""
-    from mitsvbrdf import make_renderer
-    from mitsvbrdf.bench.run import fit, method_table
+def measure_fits(lines: Path) -> Iterator[dict]:
+    """Fits with all parts, and without each."""
+    from mitsvbrdf import HierarchicalConfig, make_renderer
+    from mitsvbrdf.bench.run import run
     from mitsvbrdf.bench.tasks import data_folder, find_tasks
 
-    renderer, table = make_renderer("mitsuba"), method_table()
-    tasks = {task.name: task for task in find_tasks(["inlay"], ["cards-blue"], data_folder(), 64, (4, 7),
-                                                    "builtin:grid",
-                                                    renderer)}
-    found = []
-    for part, (method, changes, scenes) in SETTINGS.items():
-        limits = {"budget": 3600.0} if method == "hierarchical" else {"iterations": 150}
-        configs = {"with": replace(table[method], **limits),
-                   "without": replace(table[method], **limits, **changes)}
-        for scene in scenes:
-            task, seconds, errors = tasks[scene], {"with": [], "without": []}, {}
-            for turn in range(4):  # the first compiles kernels
-                for side, config in configs.items():
-                    began = time.perf_counter()
-                    result, predict = fit(task.photos, renderer, config, lambda share: None)
-                    if turn:
-                        seconds[side].append(time.perf_counter() - began)
-                    errors[side] = {name.replace("held_out", "left_out"): value
-                                    for name, value in task.errors(result.svbrdf, predict).items()}
-            found.append({"suite": "leave-out", "part": part, "of": method, "put_in": False, "name": scene,
-                          "kind": "real photos" if task.kind == "capture" else "exact", "seconds": seconds,
-                          "errors": errors, "says": [part]})
-            print(part, scene, flush=True)
-    measured = {(r["part"], r["of"], r["name"]) for r in found}
-    others = [r for r in record["records"] if (r.get("part"), r.get("of"), r["name"]) not in measured
-              or r.get("put_in")]
-    return {**record, "records": [*others, *found]}
+    renderer, full = make_renderer("mitsuba"), HierarchicalConfig()
+    everything = find_tasks(None, None, data_folder(), 128, HELD_OUT, None, renderer)
+    for kind, parts in PARTS.items():
+        methods = {"full": full, **{part: replace(full, **VARIANTS[part]) for part in parts}}
+        tasks = [task for task in everything if task.kind == kind]
+        yield from run(methods, tasks, [600], [0], renderer, lines,
+                       lambda text, share: print(f"{share:4.0%} {text}", flush=True))
+
+
+def timed_render(renderer, svbrdf, wanted: tuple, views) -> tuple[float, object]:  # noqa: ANN001
+    """Seconds of pictures and of their gradient to the wanted maps, and the pictures."""
+    import torch
+
+    leaves = svbrdf.map(lambda values: values.clone())
+    for name in wanted:
+        leaves.maps[name].requires_grad_()
+    begun = time.perf_counter()
+    images = renderer.render(leaves, views)
+    torch.autograd.grad((images * torch.ones_like(images)).sum(), [leaves.maps[name] for name in wanted])
+    return time.perf_counter() - begun, images.detach()
+
+
+def measure_renders() -> Iterator[dict]:
+    """Renders that compute a part which the scene does not need, and that omit it, in turn."""
+    import torch
+
+    from mitsvbrdf import SVBRDF, make_renderer
+    from mitsvbrdf.bench.tasks import data_folder, find_tasks
+    from mitsvbrdf.render.needs import Needs, scene_needs
+
+    task, = find_tasks(["inlay"], ["none"], data_folder(), SIDE, (), "builtin:grid", make_renderer("mitsuba"))
+    views, made = task.photos.views, dict(task.truth.maps)
+    maps = {"roughconductor": made,
+            "principled": {"base_color": made["diffuse"], "metallic": made["specular"][..., :1],
+                           "roughness": made["roughness"], "normal": made["normal"]}}
+    level = torch.tensor([0.0, 0.0, 1.0]).repeat(SIDE, SIDE, 1)
+
+    def material(bsdf: str, changes: dict) -> SVBRDF:
+        changed = {name: level if value is None else torch.full_like(maps[bsdf][name], value)
+                   for name, value in changes.items()}
+        return SVBRDF(bsdf, maps[bsdf] | changed)
+
+    def in_turn(part: str, names: str, full: tuple, lean: tuple) -> dict:
+        sides = {"with": full, "without": lean}
+        seconds, images = {side: [] for side in sides}, {}
+        for turn in range(TURNS + 1):  # the first compiles kernels
+            for side, what in sides.items():
+                taken, images[side] = timed_render(*what, views)
+                if turn:
+                    seconds[side].append(round(taken, 6))
+        print(part, flush=True)
+        return {"part": part, "renderer": names, **seconds,
+                "difference": float((images["with"] - images["without"]).abs().max() / images["with"].max())}
+
+    fast = make_renderer("mitsuba")
+    for part, (name, bsdf, changes, flag) in RENDERS.items():
+        svbrdf, wanted = material(bsdf, changes), ("roughness" if "normal" in changes else "normal",)
+        more = replace(scene_needs(svbrdf, views, name), **{flag: True})
+        yield in_turn(part, name, (make_renderer(name, needs=more), svbrdf, wanted),
+                      (make_renderer(name), svbrdf, wanted))
+    plain, inlay = material("roughconductor", {"specular": 0.3, "normal": None}), task.truth
+    yield in_turn("gradients of three maps that are held fixed", "mitsuba", (fast, inlay, tuple(made)),
+                  (fast, inlay, ("diffuse",)))
+    yield in_turn("ray tracing", "mitsuba-scene, mitsuba",
+                  (make_renderer("mitsuba-scene"), inlay, ("normal",)), (fast, inlay, ("normal",)))
+    yield in_turn("all, of a flat and grey material", "mitsuba-scene, mitsuba",
+                  (make_renderer("mitsuba-scene", needs=Needs()), plain, tuple(made)),
+                  (fast, plain, ("diffuse",)))
+
+
+def patches(pictures, chosen):  # noqa: ANN001, ANN201
+    """The 7 x 7 patches around chosen pixels, M x 147."""
+    windows = pictures.unfold(1, 7, 1).unfold(2, 7, 1)
+    return windows[chosen[:, 3:-3, 3:-3]].flatten(1)
+
+
+def distance(one, other) -> float:  # noqa: ANN001
+    """Sliced Wasserstein-1 distance of two sets of as many vectors, over 256 directions."""
+    import torch
+
+    directions = torch.randn(256, one.shape[1], generator=torch.Generator().manual_seed(0))
+    directions = torch.nn.functional.normalize(directions, dim=1)
+    one, other = ((vectors @ directions.T).sort(dim=0).values for vectors in (one, other))
+    return float((one - other).abs().mean())
+
+
+def measure_detail() -> Iterator[dict]:
+    """Held-out photos of each capture beside pictures of maps and detail, in display values."""
+    import subprocess
+    from tempfile import TemporaryDirectory
+
+    import torch
+    import torch.nn.functional as F
+    from flip_evaluator import evaluate
+
+    from mitsvbrdf import Fit, make_renderer, read_capture
+    from mitsvbrdf.bench.tasks import data_folder
+
+    renderer = make_renderer("mitsuba")
+    for folder in sorted((data_folder() / "captures").iterdir()):
+        capture = read_capture(folder, resolution=128)
+        seen = [number for number in capture.index if number not in HELD_OUT]
+        with TemporaryDirectory() as place:
+            begun = time.perf_counter()
+            subprocess.run([sys.executable, "-m", "mitsvbrdf", "fit", folder, "-o", f"{place}/out",
+                            "--resolution", "128", "--views", ",".join(map(str, seen)), "--detail", "gan"],
+                           check=True, stdout=subprocess.DEVNULL)
+            seconds, fit = time.perf_counter() - begun, Fit.load(f"{place}/out")
+            solved, drawn = fit.svbrdf, fit.detail
+        held = capture.pick([capture.index.index(number) for number in HELD_OUT]).through(fit.transfer)
+        offset = held.views.light.new_tensor([*(fit.flash_offset or (0.0, 0.0)), 0.0]) * held.views.size
+        views = replace(held.views, light=held.views.light + offset,
+                        intensity=held.views.intensity * fit.light_power_factor)
+        matte = replace(solved, maps={**solved.maps, "specular": torch.zeros_like(solved["specular"])})
+        pictures = [renderer.render(svbrdf, views) for svbrdf in (solved, drawn, matte)]
+        light = [F.avg_pool2d(x.clamp(max=1).mean(dim=-1)[:, None], 7, 1, 3, count_include_pad=False)[:, 0]
+                 for x in (held.linear, pictures[0], pictures[2])]
+        where = torch.maximum(light[0], light[1]) > 2 * light[2]
+
+        def row(linear, photos=held.linear, where=where) -> dict:  # noqa: ANN001
+            photos, shown = (light.clamp(0, 1) ** (1 / 2.2) for light in (photos, linear))
+            flips = [evaluate(a.numpy(), b.numpy(), "LDR")[1] for a, b in zip(photos, shown)]
+            return {"patches": distance(patches(shown, where), patches(photos, where)),
+                    "rmse": float((shown - photos).square().mean().sqrt()), "flip": sum(flips) / len(flips)}
+
+        found = {"name": folder.name, "highlights": float(where.float().mean()), "maps": row(pictures[0]),
+                 "detail": row(pictures[1]), "seconds": round(seconds, 1)}
+        print(found, flush=True)
+        yield found
 
 
 if __name__ == "__main__":
-    content = json.loads((HERE / "omitted.json").read_text())
-    if sys.argv[1:] == ["measure"]:
-        content = measure(content)
-        (HERE / "omitted.json").write_text(json.dumps(content))
+    file = HERE / "omitted.json"
+    measures = {"fits": lambda: measure_fits(file.with_suffix(".jsonl")), "renders": measure_renders,
+                "detail": measure_detail}
+    found = {part: list(measures[part]()) for part in sys.argv[1:]}
+    content = json.loads(file.read_text()) | found
+    file.write_text(json.dumps(content))
     (HERE / "omitted.md").write_text(page(content))
     (HERE / "omitted.svg").write_bytes(svg(figure(content)))
