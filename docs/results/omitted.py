@@ -142,8 +142,8 @@ the brightest pixel.
 `fit --detail gan`, 128 px, held-out photos 4 and 7: error of the maps → with detail (ratio). *Patches* is \
 the sliced Wasserstein distance of 7 x 7 patches inside highlights, *highlights* the share of these pixels. \
 {(added["bar"] == "met").sum()} of {len(added)} captures meet the bar (patches at most {PATCHES} and RMSE at \
-most {RMSE} times those of the maps); the median ratio of patches is {middle:.2f}. So detail is omitted unless \
-asked for.
+most {RMSE} times those of the maps); the median ratio of patches is {middle:.2f}. So detail is omitted \
+unless asked for.
 """
 
 
