@@ -8,7 +8,6 @@ import torch
 from mitsvbrdf import cli
 from mitsvbrdf.cli.fit import _say_result, with_flags
 from mitsvbrdf.fit.checkpoint import load_tensors
-from mitsvbrdf.fit.config import HierarchicalConfig
 
 ENDED = {"calibrated_rmse": None, "per_photo": [0.01], "rerender_rmse": 0.01,
          "deviations": {}, "deviations_with_look_alikes": {}, "record": {"confidence": {}}, "warnings": (),
@@ -25,14 +24,6 @@ def test_how_it_ended(stopped, before, words, capsys):
     said = capsys.readouterr().out
     assert ("settled" in said) == bool(words and words.startswith("settled"))
     assert (words or "Re-rendering RMSE") in said
-
-
-def test_help_says_what_its_figures_are_and_when_it_ends(capsys):
-    with pytest.raises(SystemExit):
-        cli.main(["fit", "--help"])
-    said = " ".join(capsys.readouterr().out.replace("│", " ").split())
-    assert f"after {HierarchicalConfig.default_budget:.0f} s at the latest" in said
-    assert "squared errors over the noise" in said and "Cost has no unit" in said
 
 
 def test_help_shows_research_options_only_when_asked(capsys):
