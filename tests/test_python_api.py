@@ -100,6 +100,7 @@ def test_a_crosscheck_finds_the_same_under_any_default(mode):
         assert figures() == expected
 
 
+@pytest.mark.slow
 def test_fits_in_threads_are_those_of_one():
     configs = [replace(DIRECT, learning_rate=rate) for rate in (0.02, 0.05, 0.1)]
     expected = [fitted(config) for config in configs]

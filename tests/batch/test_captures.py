@@ -141,6 +141,7 @@ def test_names_have_letters_that_every_file_system_has(source, name):
     assert name_of(source) == name
 
 
+@pytest.mark.slow
 def test_captures_behind_a_url_are_found_as_in_a_folder(shots):
     url = shots.as_uri()
     assert found(url) == found("shots")

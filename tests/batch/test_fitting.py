@@ -74,6 +74,7 @@ def maps_of(folder):
             for path in sorted((folder / part).rglob("*")) if path.is_file()}
 
 
+@pytest.mark.slow
 def test_a_worker_makes_the_maps_of_the_fit_command(worker, captures, tmp_path):
     (about, outcome), code, errors = worker("print")
     assert code == 0 and about["version"] == __version__ and outcome["state"] == "done", errors
@@ -93,15 +94,16 @@ def test_a_worker_makes_the_maps_of_the_fit_command(worker, captures, tmp_path):
     assert "its words" in outcome["log"]
 
 
+@pytest.mark.slow
 def test_sigterm_ends_a_worker_so_that_no_half_fit_counts(worker):
     """A system that shuts down asks all its processes to end; `mitsvbrdf fit` would then keep what it has."""
     said, code, _ = worker("term")
     assert code != 0 and len(said) == 1 and worker.results.names() == []
 
 
-@pytest.mark.parametrize("deed, memory, words",
-                         [pytest.param("eat", 1.0, HELD, marks=pytest.mark.slow),
-                          ("abort", None, "Fatal Python error: Aborted")])
+@pytest.mark.slow
+@pytest.mark.parametrize("deed, memory, words", [("eat", 1.0, HELD),
+                                                 ("abort", None, "Fatal Python error: Aborted")])
 def test_a_worker_that_dies_leaves_its_last_words(worker, deed, memory, words):
     said, code, _ = worker(deed, memory=memory)
     assert code < 0 and len(said) == 1

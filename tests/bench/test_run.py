@@ -78,6 +78,7 @@ def test_a_fit_that_cannot_be_done_is_a_result_that_says_why(task, tmp_path):
     assert record["stopped"] == "failed" and record["errors"] == {} and "metallic" in record["why"]
 
 
+@pytest.mark.slow
 def test_real_photos_are_judged_by_those_held_out(tmp_path):
     write_capture(photos_of(make_material("inlay", 16)), tmp_path / "wood")
     task = real_capture(tmp_path / "wood", 16)

@@ -53,7 +53,8 @@ def compared(found, truth):
     return scale, np.hypot(*left[:, :2].T), np.abs(left[:, 2]) / truth[:, 2]
 
 
-@pytest.mark.parametrize("name", ["leather", pytest.param("inlay", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["leather", "inlay"])
 def test_matt_material_is_placed_by_its_shading(name):
     material, views = make_material(name, 48), handheld(0)
     found = estimate_views(photos(SVBRDF(material.bsdf,
@@ -74,6 +75,7 @@ def glossy():
     return shots, views, estimate_views(shots)
 
 
+@pytest.mark.slow
 def test_highlights_are_below_the_flash(glossy):
     shots, views, found = glossy
     # A mirror under a flash at the lens shows it straight below: measured 0.008 in the median, 0.042 where
@@ -125,6 +127,7 @@ def test_shading_is_that_of_the_renderer(glossy):
         assert np.allclose(wanted, seen, rtol=1e-4, atol=1e-6)  # float32: measured 2e-6
 
 
+@pytest.mark.slow
 def test_the_unit_is_kept_and_nothing_is_drawn_by_chance(glossy):
     shots, _, found = glossy
     inches = replace(shots, views=Views.of([[0.0, 0.0, 14.0]] * 9, size=7.0))

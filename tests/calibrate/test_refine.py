@@ -38,8 +38,8 @@ def photos_from(material, views, change, seed=0, noise=0.01):
     return replace(photograph(material, moved(views, change), ANALYTIC, noise, seed), views=views)
 
 
-@pytest.mark.parametrize("name, seed", [("inlay", 0), ("leather", 1),
-                                        pytest.param("tiles", 2, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name, seed", [
+    ("inlay", 0), *(pytest.param(*row, marks=pytest.mark.slow) for row in (("leather", 1), ("tiles", 2)))])
 def test_perturbed_calibration_is_found_within_the_stated_errors(name, seed):
     material, views, truth = make_material(name, 64), GRID, drawn(9, seed)
     shots = photos_from(material, views, truth, seed)

@@ -176,6 +176,7 @@ def test_options_out_of_range(made):
             make_capture(photos, **wrong)
 
 
+@pytest.mark.slow
 def test_of_photos_rectified_to_their_sheet_the_patch_is_cut_out(truth, tmp_path, capsys):
     """The frame of tags fills them: their middle 512 of 800 pixels are the patch."""
     raw, out = tmp_path / "raw", tmp_path / "out"

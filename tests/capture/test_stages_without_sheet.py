@@ -73,6 +73,7 @@ def test_a_single_photo_is_shown_upright(tmp_path):
     assert photo.shape == (40, 40, 3) and photo[:15].mean() > 0.7 and photo[25:].mean() < 0.1
 
 
+@pytest.mark.slow
 def test_photos_that_show_everything_in_the_same_place_are_taken_for_rectified(tmp_path):
     y, x = np.mgrid[:300, :400]
     noise = cv2.GaussianBlur(np.random.default_rng(0).standard_normal((300, 400, 3)), (0, 0), 2)
@@ -89,6 +90,7 @@ def test_photos_that_show_everything_in_the_same_place_are_taken_for_rectified(t
         make_capture([Photo.open(path) for path in photos_in(tmp_path)])
 
 
+@pytest.mark.slow
 def test_a_mirrored_photo_is_named(plain, tmp_path):
     for path in photos_in(plain)[:4]:
         image = Image.open(path)

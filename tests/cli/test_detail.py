@@ -61,6 +61,7 @@ def test_commands_take_plausible_detail_as_they_take_maps(folders, shots, tmp_pa
     assert load_maps(folders / "finished").maps.keys() == load_maps(look).maps.keys()
 
 
+@pytest.mark.slow
 def test_a_whole_fit_resumes_into_its_detail(folders, shots, tmp_path, capsys):
     out = tmp_path / "out"
     assert cli.main(["fit", str(shots), "-o", str(out), *QUICK]) == 0

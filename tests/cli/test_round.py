@@ -93,6 +93,7 @@ for variant in "llvm_ad_rgb", "scalar_rgb":
     subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path, env=os.environ)
 
 
+@pytest.mark.slow
 def test_resume_goes_on_and_needs_a_checkpoint(shots, tmp_path, capsys):
     out, whole = tmp_path / "out", tmp_path / "whole"
     # Nothing here hangs on how much of the run is done: more iterations go on as if they had been asked for
@@ -143,13 +144,6 @@ def test_results_are_only_replaced_when_asked(shots, tmp_path, capsys):
 def test_results_do_not_go_among_the_photos(shots, tmp_path, capsys):
     for out in (shots, shots / "target"):
         fails(capsys, tmp_path, ["fit", shots, "-o", out, "--overwrite", *FAST], "photos")
-
-
-def test_the_last_method_counts(shots, tmp_path):
-    out = tmp_path / "out"
-    assert cli.main(["fit", str(shots), "-o", str(out), "--method", "gan", *FAST]) == 0
-    record = json.loads((out / "fit.json").read_text())
-    assert record["method"] == "direct" and record["views"]["falloff"] == "inverse-square"
 
 
 def test_evaluate_and_render_remember_how_the_fit_saw_its_photos(shots, tmp_path):

@@ -65,6 +65,7 @@ def test_nodes_are_standard_normal_numbers():
     assert not torch.equal(drawn[0], drawn[1])
 
 
+@pytest.mark.slow
 def test_the_fit_goes_on_from_its_state_bit_by_bit(monkeypatch):
     monkeypatch.setattr("mitsvbrdf.fit.one_photo.TRIED", 2)
     monkeypatch.setattr("mitsvbrdf.fit.one_photo.ITERATIONS", 2)

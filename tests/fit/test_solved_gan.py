@@ -80,6 +80,7 @@ def test_a_game_that_only_harms_returns_the_start_bit_for_bit(tiles, photos):
         f"the game's change of {name}" for name in SPREAD]
 
 
+@pytest.mark.slow
 def test_photos_too_small_for_a_game_are_solved():
     tiny = photos_of(make_material("tiles", 6)).pick((0, 1, 2, 3))
     method = SolvedGan(FitTask(tiny, ANALYTIC, GanConfig()))

@@ -58,6 +58,7 @@ class StopAfter(list):
         return self.looks < 0
 
 
+@pytest.mark.slow
 def test_resumed_frames_are_those_of_an_uninterrupted_run(tmp_path, monkeypatch, capsys):
     options = {"preset": "sphere,sweep", "frames": 3, "movie": "mp4,gif"}
     assert run(tmp_path / "whole", **options) == 0

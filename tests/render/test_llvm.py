@@ -134,6 +134,7 @@ def test_a_fresh_process_gets_a_proved_library_and_the_variant():
     assert child.stdout.strip() == "{'DRJIT_LIBLLVM_PATH'} llvm_ad_rgb [4]", child.stderr
 
 
+@pytest.mark.slow
 def test_a_drjit_imported_before_is_not_fought():
     found = proved_here()
     child = python("import os, drjit; from mitsvbrdf.render.llvm import use_llvm; llvm = use_llvm()\n"
@@ -141,6 +142,7 @@ def test_a_drjit_imported_before_is_not_fought():
     assert child.stdout.split() == ["True", found.path, found.version], child.stderr
 
 
+@pytest.mark.slow
 def test_a_drjit_imported_before_without_llvm_is_reported():
     child = python("import drjit; from mitsvbrdf.render.llvm import use_llvm; use_llvm()",
                    DRJIT_LIBLLVM_PATH="/nowhere")
@@ -193,6 +195,7 @@ def test_wrong_numbers_are_no_proof(monkeypatch):
     assert not verdict.proved and "wrong results" in verdict.message
 
 
+@pytest.mark.slow
 def test_as_a_program_it_prints_the_path_or_the_hint():
     program = [sys.executable, "-m", "mitsvbrdf.render.llvm"]
     good = subprocess.run(program, capture_output=True, text=True, timeout=60)

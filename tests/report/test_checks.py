@@ -40,6 +40,7 @@ def test_the_quick_check_is_the_error_of_the_fits_renderer(fitted):
     assert check["violations"] == []
 
 
+@pytest.mark.slow
 def test_all_renderers_are_checked_and_timed(measured):
     _, fit, record, page = measured
     assert not record["quick"] and record["crosscheck"]["views"] == list(fit["per_photo"])

@@ -35,7 +35,8 @@ def every_step(monkeypatch):
     monkeypatch.setattr(fit_live, "SHARE", 1.0)
 
 
-@pytest.mark.parametrize("config", [FAST, HierarchicalConfig(iterations=3)])
+@pytest.mark.parametrize("config", [
+    FAST, pytest.param(HierarchicalConfig(iterations=3), marks=pytest.mark.slow)])
 def test_the_fit_is_the_same_with_and_without_it(config, shots, every_step, tmp_path):
     states = []
     page = LivePage(tmp_path, tmp_path / "out")

@@ -95,6 +95,7 @@ def test_the_exposure_suits_the_first_photo():
     assert (shiny == 255).mean() == pytest.approx(0.02, abs=0.001) and shiny.mean() < dull.mean()
 
 
+@pytest.mark.slow
 def test_spoiled_photos_are_what_they_are_called():
     kinds = ("blurred", "finger", "noflash", "duplicate", "rotated", "unrelated")
     phone = HandheldPhone(megapixels=0.1, photos=3, side=40.0)

@@ -145,6 +145,7 @@ def test_a_diffuse_patch_under_a_white_sky_has_the_radiance_of_its_albedo(traced
     assert not z_test(1.02 * passes.mean(dim=0), 1.02 * passes, albedo).passed
 
 
+@pytest.mark.slow
 def test_a_patch_under_an_area_light_is_what_many_samples_make_of_it(traced, two_threads):
     # Measured over 200 seeds: 1 % of the previews fail as they are, and all when 2 % brighter.
     leather = make_material("leather", 24)

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 from helpers import ANALYTIC, soaking
 from helpers.soaking import SLOPE_LIMIT, WORK, resident, soak
-from helpers.variants import mostly_slow
 
 from mitsvbrdf.material.maps import CHANNELS
 from mitsvbrdf.render import RENDERERS, make_renderer
@@ -17,10 +16,10 @@ from mitsvbrdf.render.scene import SceneRenderer
 
 STEPS = int(os.environ.get("SOAK_STEPS", "500"))
 GROUPS = [*((name,) for name in RENDERERS), RENDERERS]
-pytestmark = pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")
+pytestmark = [pytest.mark.slow,
+              pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="memory is read from /proc")]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("work", WORK)
 @pytest.mark.parametrize("bsdf", CHANNELS)
 @pytest.mark.parametrize("names", GROUPS, ids=lambda names: names[0] if len(names) == 1 else "in turn")
@@ -33,14 +32,13 @@ def test_nothing_grows(names, bsdf, work, capsys):
     assert found["slope"] <= SLOPE_LIMIT and found["late"] == [] and found["variables"] == 0
 
 
-@pytest.mark.parametrize("work", mostly_slow(WORK, "preview"))  # which does what the others do
+@pytest.mark.parametrize("work", WORK)
 def test_mitsuba_compiles_nothing_after_the_second_turn(work):
     both = [make_renderer("mitsuba"), make_renderer("mitsuba-scene")]
     found = soak(both, "roughconductor", WORK[work], 20, 8)
     assert found["late"] == [] and found["variables"] == 0
 
 
-@pytest.mark.slow
 def test_a_scene_of_before_makes_no_kernel_late_by_being_freed():
     steps = itertools.count()
 

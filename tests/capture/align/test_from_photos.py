@@ -71,6 +71,7 @@ def quarter(pose):
     return Pose(pose.position, np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]]) @ pose.rotation)
 
 
+@pytest.mark.slow
 def test_turned_phone(tmp_path):
     poses = held(5, seed=1)
     poses["2.png"] = quarter(poses["2.png"])
@@ -97,12 +98,13 @@ def test_what_cannot_be_used_is_named(tmp_path):
         assert reason in rig.rejected[f"{name}.png"]
 
 
-@pytest.mark.parametrize("count", [0, 1, 2])
+@pytest.mark.parametrize("count", [0, 1, pytest.param(2, marks=pytest.mark.slow)])
 def test_too_few_photos(tmp_path, count):
     with pytest.raises(CaptureError, match=f"3 photos or more .* got {count} of {count}"):
         rig_from_photos(take(tmp_path, held(count)))
 
 
+@pytest.mark.slow
 def test_a_pattern_that_repeats_itself_is_noted(tmp_path):
     """Tiles of 0.3, all alike: what is seen at one of them is seen at each."""
     rig = rig_from_photos(take(tmp_path, held(3), np.tile(texture()[:150, :150], (8, 8))))

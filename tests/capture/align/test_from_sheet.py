@@ -69,6 +69,7 @@ def covered(numbers):
     return kept
 
 
+@pytest.mark.slow
 def test_photos_that_do_not_help_are_named(tmp_path, photos):
     row = photograph(tmp_path / "row.jpg", POSES[0], picture=covered([0, 1, 2, 3, 4]))
     three = photograph(tmp_path / "three.jpg", POSES[0], picture=covered([0, 4, 8]))

@@ -118,6 +118,7 @@ def test_the_file_has_its_true_size(tmp_path, size, paper, page):
         axis=0)[0]
 
 
+@pytest.mark.slow
 def test_other_files_and_sizes(tmp_path):
     for name, begins in (("sheet.svg", b"<?xml"), ("sheet.png", b"\x89PNG")):
         write_sheet(tmp_path / name, 10.0)

@@ -71,6 +71,7 @@ def test_a_sheet_cut_at_its_tags_on_a_dark_material(tmp_path, around):
         assert np.abs(four - project(LENS, pose, SHEET.corners[number])).max() < 0.3
 
 
+@pytest.mark.slow
 def test_a_mirrored_photo_and_a_print_in_negative_are_named(tmp_path):
     photo = photograph(tmp_path / "mirrored.png", POSES[1])
     cv2.imwrite(str(photo.path), cv2.flip(cv2.imread(str(photo.path), cv2.IMREAD_UNCHANGED), 1))

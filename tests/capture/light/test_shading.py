@@ -108,6 +108,7 @@ def test_paper_tells_flash_power_vignetting_and_exposures():
     assert shading.lens.focal == rig.lens.focal and "albedo of 0.8" in shading.notes[0]
 
 
+@pytest.mark.slow
 def test_paper_of_another_albedo_and_photos_of_half_the_size():
     rng = np.random.default_rng(3)
     rig = make_rig("cm", rng)
@@ -149,7 +150,8 @@ def test_deviations_of_paper_are_the_size_of_its_errors():
 
 
 # material
-@pytest.mark.parametrize("f0", [pytest.param(0.0, marks=pytest.mark.slow), 0.04])
+@pytest.mark.slow
+@pytest.mark.parametrize("f0", [0.0, 0.04])
 def test_material_tells_flash_vignetting_and_exposures(f0):
     rng = np.random.default_rng(4)
     rig, exposures = make_rig("patch sides", rng), 0.02 * rng.normal(size=9)
@@ -197,6 +199,7 @@ def test_one_photo_tells_nothing_and_leaves_what_was_expected():
     assert shading.evenness == {"0.jpg": 0.0} and np.isfinite(shading.intensity).all()
 
 
+@pytest.mark.slow
 def test_photos_that_do_not_reach_the_whole_patch():
     rng = np.random.default_rng(7)
     rig = make_rig("patch sides", rng)
@@ -223,6 +226,7 @@ def test_no_paper_is_refused():
         shading_of_paper(rig, photos, "srgb", lambda points: np.zeros(len(points), bool))
 
 
+@pytest.mark.slow
 def test_a_white_balance_that_drifts_is_the_light_s_colour_in_these_photos():
     """Factors of linear rgb, known, in three of nine photos of paper; the others keep theirs to the bit."""
     rng = np.random.default_rng(5)
@@ -240,8 +244,9 @@ def test_a_white_balance_that_drifts_is_the_light_s_colour_in_these_photos():
     np.testing.assert_allclose(found.intensity, plain.intensity, rtol=0.01)
 
 
-@pytest.mark.parametrize("seed", [*(pytest.param(seed, marks=pytest.mark.slow) for seed in (5, 6)), 7])
-@pytest.mark.parametrize("f0", [pytest.param(0.04, marks=pytest.mark.slow), 0.3])
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [5, 6, 7])
+@pytest.mark.parametrize("f0", [0.04, 0.3])
 def test_highlights_that_pale_are_no_white_balance_but_a_drift_is(seed, f0):
     """Coloured texels under a white lobe; without the spread over texels, seed 7 of 0.3 was off by 4 %."""
     rng = np.random.default_rng(seed)

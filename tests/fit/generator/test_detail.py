@@ -37,6 +37,7 @@ def result(capture):
     return fit_svbrdf(capture, ANALYTIC, HierarchicalConfig(iterations=12))
 
 
+@pytest.mark.slow
 def test_maps_keep_their_bits_and_certain_texels_stay(result, capture):
     before = {name: value.clone() for name, value in result.svbrdf.maps.items()}
     # The left half of every map is told to be certain.

@@ -99,6 +99,7 @@ def test_detail_that_other_photos_confirm_is_believed_and_other_detail_is_not(tw
     assert detail_of(spoilt)[1] > NOISES[1]
 
 
+@pytest.mark.slow
 def test_a_noise_that_was_given_or_cannot_be_found(two_stages, phone, capture):
     given = method_of(capture, noise=0.11)
     few = method_of(capture.pick(list(range(FEWEST - 1))))

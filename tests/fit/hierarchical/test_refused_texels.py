@@ -40,6 +40,7 @@ def fine():
     return method
 
 
+@pytest.mark.slow
 def test_a_texel_that_was_turned_away_comes_back(fine):
     scoring, lobes = fine._scoring(), fine.exact.lobes
     answer, cost = scoring.scored(fine.answer, 1)

@@ -131,11 +131,13 @@ def test_only_photos_of_the_same_response_have_its_curve():
     assert shots.through(TRUE.behind("srgb")) is shots is shots.through(None)
 
 
+@pytest.mark.slow
 def test_photos_without_a_curve_get_none():
     fit = fit_svbrdf(through(None), MITSUBA, HierarchicalConfig(exact=False, budget=600))
     assert fit.transfer == "gamma2.2" and not any("response curve" in told for told in fit.warnings)
 
 
+@pytest.mark.slow
 def test_a_curve_by_which_photos_predict_each_other_worse_is_refused(monkeypatch):
     method = method_of(through(None), exact=False)
     while method.stages.stage != Stage.TOGETHER or not method.stages.finished:

@@ -142,6 +142,7 @@ def test_stages_that_were_stated(stated, stage, capture):
     assert method.stages.stage == stage and method.stages.tied == (stage == Stage.TOGETHER)
 
 
+@pytest.mark.slow
 def test_settled_and_nothing_left(capture, tmp_path):
     small, path = capture.averaged(16), tmp_path / "c.safetensors"
     result = fit_svbrdf(small, MITSUBA, checkpoint=path)

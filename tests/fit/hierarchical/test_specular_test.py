@@ -46,6 +46,7 @@ def test_a_weak_lobe_and_one_texel_that_shines_are_no_matte_material(found):
 @pytest.mark.parametrize("specular, roughness", [
     (0.04, 0.9), (spot(0.04, side=32), 0.3), pytest.param(spot(0.5, side=32), 0.15, marks=pytest.mark.slow)])
 # it is below: plates, 0.001
+@pytest.mark.slow
 def test_nor_are_they_in_noise_in_which_a_matte_material_is_told(specular, roughness):
     found = material(specular, roughness, "plates", 32)
     assert not left_alone(photos_of(found, noise=0.001), exact=True).stages.matte
@@ -105,6 +106,7 @@ def test_a_free_stage_that_was_cut_short_decides_nothing(black):
     assert method.stages.stage == Stage.MULTI_START and not method.stages.matte
 
 
+@pytest.mark.slow
 def test_it_resumes_to_the_bit_and_goes_back(black, tmp_path):
     first = ROUNDS[Stage.ALONE]
     config = HierarchicalConfig(iterations=100)
@@ -132,6 +134,7 @@ def test_it_resumes_to_the_bit_and_goes_back(black, tmp_path):
     assert loop.method.stages.matte
 
 
+@pytest.mark.slow
 def test_a_spot_between_the_texels_of_the_first_stage_is_seen(monkeypatch):
     monkeypatch.setattr("mitsvbrdf.fit.hierarchical.scales.COARSE", SIDE)
     where = torch.zeros(2 * SIDE, 2 * SIDE, 1)

@@ -156,6 +156,7 @@ def test_texels_may_go_as_far_as_they_went(went, normal, specular, capture):
     assert deviation["diffuse"] == pytest.approx(VAGUE["diffuse"])
 
 
+@pytest.mark.slow
 def test_at_full_size_texels_are_free_and_pixels_alike(two_stages, phone, capture):
     method = method_of(capture)
     while method.stages.stage != Stage.TOGETHER:

@@ -156,7 +156,8 @@ def test_tiles_are_written_once_none_starts_from_them(monkeypatch):
         assert torch.equal(answer.lobe, answer.x[0].long()) and (cost == 1).all()
 
 
-@pytest.mark.parametrize("exact", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("exact", [False, True])
 def test_photos_as_stored_give_the_same_fit(exact, monkeypatch):
     """In one tile of floats, and in tiles of photos that are kept in 8 bits."""
     monkeypatch.setattr(stages, "EXACT", 1.0 if exact else 0.0)

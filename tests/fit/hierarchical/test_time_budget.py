@@ -108,6 +108,7 @@ def test_what_cannot_end_in_time_is_not_begun_and_said(timed):
     assert {CROSS_VALIDATION, f"further {VIEWS}"} <= dict(method.omitted).keys()
 
 
+@pytest.mark.slow
 def test_a_resumed_fit_knows_what_steps_took(timed):
     method, clock = timed(AMPLE)
     while (method.stages.stage, method.stages.rounds) != (Stage.FINE, 4):
@@ -243,6 +244,7 @@ def test_the_last_stage_of_real_photos_ends_by_what_its_rounds_tell(exact):
     assert (again.last, again.others) == (found.last, found.others)
 
 
+@pytest.mark.slow
 def test_measurements_before_full_size_look_at_pixels_of_the_photos(shots, timed):
     method, _ = timed(AMPLE)
     svbrdf, _, seen = method.glimpse()

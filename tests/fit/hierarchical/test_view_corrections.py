@@ -68,6 +68,7 @@ def test_stated_views_are_sought_where_they_were_found(refined, monkeypatch):
         assert not starts[0].any() and first.any() and torch.equal(starts[1], first)
 
 
+@pytest.mark.slow
 def test_there_is_an_end_to_how_far():
     material, capture, _ = shots(1.0, 0.0)
     views = ViewCorrections(capture, "unless exact", True)
