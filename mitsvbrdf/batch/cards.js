@@ -128,8 +128,9 @@ function makeCard(row) {
   const told = row[field] == null ? "" : TOLD[field](row[field]);
   const more = make("button", { class: "more", type: "button", "aria-label": `Details of ${row.name}` }, "⋯");
   more.addEventListener("click", () => showDetails(row));
-  const warned = row.warnings?.length ? ` ⚠ ${row.warnings.length}` : "";
-  return make("li", { class: row.state }, main, make("div", { class: "under" }, make("span", {}, told + warned), more));
+  const warned = row.warnings?.length ? `⚠ ${row.warnings.length}` : "";
+  return make("li", { class: row.state }, main, make("div", { class: "under" }, make("span", {}, told),
+    make("span", { class: "warned" }, warned), more));
 }
 
 function showDetails(row) {
