@@ -1,6 +1,6 @@
 """Responses of cameras (transfer functions), between linear radiance and display values.
 
-Renderers never encode or clip. Photos, files and losses come here. A new response is a name in
+Renderers never encode or clip. Photos, files and losses use this module. A new response is a name in
 :data:`Transfer` and its two functions in :data:`RESPONSES`.
 """
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:  # the choices of commands are these names, and need no torch
     from torch import Tensor
 
 # A clipped photo value means "at least this bright". There are two thresholds:
-CLIPPED = 0.995  # in fits, whose residuals are one-sided from here on: 254 and 255 of 8 bits
+CLIPPED = 0.995  # in fits: residuals are one-sided from this value on, which is 254 and 255 of 8 bits
 NEARLY_CLIPPED = 0.99  # before fits (guess, flash, quality), where omitted texels cost little: 253 too
 QUANTIZATION_NOISE = 1 / (255 * math.sqrt(12))  # standard deviation of the rounding to 8 bits
 
-# a fit may find a curve behind it (:class:`Curve`)
+# a fit may find a curve that follows the response (:class:`Curve`)
 Transfer = Literal["gamma2.2", "srgb", "linear"]
 CURVE = re.compile(r"[^,]+, gamma (\d+\.\d+), shoulder (-?\d+\.\d+)")
 
@@ -31,14 +31,14 @@ TOE = 2e-6
 
 
 class Operations(NamedTuple):
-    """What responses compute with, of torch or Dr.Jit: ``where(condition, a, b)``, ``at_least(x, c)``."""
+    """Operations of torch or Dr.Jit that responses need: ``where(condition, a, b)``, ``at_least(x, c)``."""
 
     where: Callable
     at_least: Callable
 
 
 class Response(NamedTuple):
-    """A response: functions of a value and :class:`Operations`, inverse to each other, 0 to 0 and 1 to 1."""
+    """Two functions of a value and :class:`Operations`, inverse to each other. Both map 0 to 0 and 1 to 1."""
 
     encode: Callable[[Any, Operations], Any]
     decode: Callable[[Any, Operations], Any]
@@ -76,10 +76,10 @@ RESPONSES: dict[str, Response] = {
 
 
 class Curve(NamedTuple):
-    """What a camera does to display values beside its response, by two numbers; 0 stays 0, and 1 stays 1.
+    """A tone curve of two numbers that a camera applies after its response; 0 stays 0, and 1 stays 1.
 
-    u = d^gamma goes to (1 + shoulder) u / (1 + shoulder u); above 1, which no photo shows, to its tangent.
-    Numbers, or arrays of Dr.Jit.
+    It maps u = d^gamma to (1 + shoulder) u / (1 + shoulder u). Above 1, which no photo shows, it follows the
+    tangent at 1. Both numbers may be arrays of Dr.Jit.
     """
 
     gamma: Any
@@ -87,7 +87,7 @@ class Curve(NamedTuple):
 
     def bent(self, display: Any, do: Operations) -> Any:
         """Display values as the camera stores them."""
-        low = TOE ** (1 / 2.2)  # a line below, as in the response
+        low = TOE ** (1 / 2.2)  # a line replaces the power below it, as in the response
         power = do.where(display <= low, display * low ** (self.gamma - 1),
                          do.at_least(display, low) ** self.gamma)
         over = do.at_least(power - 1, 0)
@@ -95,7 +95,7 @@ class Curve(NamedTuple):
             1 + self.shoulder)
 
     def straight(self, stored: Any, do: Operations) -> Any:
-        """The inverse."""
+        """The inverse of :meth:`bent`."""
         low = TOE ** (1 / 2.2)
         over = do.at_least(stored - 1, 0)
         power = (stored - over) / (1 + self.shoulder * (1 - stored + over)) + over * (1 + self.shoulder)
@@ -103,12 +103,12 @@ class Curve(NamedTuple):
                         do.at_least(power, low**self.gamma) ** (1 / self.gamma))
 
     def behind(self, transfer: Transfer) -> Transfer:
-        """A transfer function with this curve behind its response: "srgb, gamma 1.0800, shoulder 0.1200"."""
+        """The response of ``transfer``, followed by this curve: "srgb, gamma 1.0800, shoulder 0.1200"."""
         return cast(Transfer, f"{parts(transfer)[0]}, gamma {self.gamma:.4f}, shoulder {self.shoulder:.4f}")
 
 
 def parts(transfer: str) -> tuple[Transfer, Curve | None]:
-    """The response of a transfer function, and the curve behind it; ConfigError where it is none."""
+    """The response of a transfer function and its curve, or None; ConfigError for an unknown name."""
     name, found = transfer.split(",")[0], CURVE.fullmatch(transfer)
     if name not in RESPONSES or not found and name != transfer:
         raise ConfigError(f"a transfer function of {get_args(Transfer)}", repr(transfer),
@@ -117,7 +117,7 @@ def parts(transfer: str) -> tuple[Transfer, Curve | None]:
 
 
 def response(transfer: Transfer) -> Response:
-    """The response of this name, with its curve; ConfigError where there is none."""
+    """The two functions of a transfer function, its curve included; ConfigError for an unknown name."""
     name, curve = parts(transfer)
     plain = RESPONSES[name]
     if curve is None:
@@ -155,7 +155,7 @@ def decode(display: Tensor, transfer: Transfer = "gamma2.2") -> Tensor:
 
 
 def shown(stored: Tensor) -> Tensor:
-    """Display values in [0, 1], float32, of pixels kept as 8 or 16 bits; floats as they are."""
+    """Display values in [0, 1], float32, from pixels of 8 or 16 bits; float pixels stay as they are."""
     if stored.is_floating_point():
         return stored
     import torch

@@ -29,7 +29,7 @@ NEAREST, FARTHEST = 1e-3, 1e6
 BRIGHTEST = 1e12
 
 ALL = slice(None)
-STRIP = 2**16  # texels that are looked at together: what is made of them stays in the cache
+STRIP = 2**16  # texels that are processed together, so that intermediate results stay in the cache
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class Views:
                                          "check the calibration for NaN")
 
     def _check_scale(self) -> None:
-        """Check distances over the patch side, and light over distances: both have no unit."""
+        """Check distance / patch side, and intensity / squared distance: these ratios have no unit."""
         sides = self.to(torch.float64).in_patch_sides()
         for name in ("camera", "light"):
             for row, position in enumerate(getattr(sides, name).tolist()):
@@ -167,13 +167,13 @@ class Views:
             yield View(tuple(camera), tuple(light), tuple(intensity))
 
     def carried(self, shift: Tensor) -> Views:
-        """Cameras and lights moved together by N x 3 or 3, in the unit of the positions. A point that moves
-        with them keeps its lighting.
+        """The views with cameras and lights moved together by ``shift``, N x 3 or 3, in the unit of the
+        positions. A point that moves with them keeps its lighting.
         """
         moved = replace(self, camera=self.camera + shift, light=self.light + shift)
         if self.falloff == "inverse-square":
             return moved
-        # The irradiance of a light without falloff is that of the patch centre, and this light has moved.
+        # Without falloff, the irradiance factor is I / |light|^2 everywhere, and |light| has changed.
         nearer = moved.light.square().sum(dim=1) / self.light.square().sum(dim=1)
         return replace(moved, intensity=self.intensity * nearer[:, None])
 
@@ -211,7 +211,7 @@ def shift_lights(views: Views, flash_offset: tuple[float, float] | None) -> View
 def texel_positions(resolution: int, dtype: torch.dtype = torch.float64, rows: slice = ALL) -> Tensor:
     """Centres of the texels of an R x R map on a patch of side 1: R x R x 3, row 0 at the top, z = 0.
 
-    ``rows``: only those.
+    ``rows``: the rows of the map to give; default: all.
     """
     step = (torch.arange(resolution, dtype=dtype) + 0.5) / resolution - 0.5
     y, x = torch.meshgrid(-step[rows], step, indexing="ij")
@@ -219,7 +219,7 @@ def texel_positions(resolution: int, dtype: torch.dtype = torch.float64, rows: s
 
 
 def strips(resolution: int) -> list[slice]:
-    """Rows of R x R texels in strips of at most :data:`STRIP` texels: what is made of these is small."""
+    """Slices of the rows of an R x R map, of at most :data:`STRIP` texels each: memory stays small."""
     rows = max(1, STRIP // resolution)
     return [slice(first, min(first + rows, resolution)) for first in range(0, resolution, rows)]
 
@@ -265,7 +265,7 @@ def default_views(count: int, field_of_view: float = FIELD_OF_VIEW, share: float
 
 
 def geometry(views: Views, resolution: int, rows: slice = ALL) -> tuple[Tensor, Tensor, Tensor]:
-    """Unit vectors to the light, half vectors, and irradiance of flat texels, all or some rows of them.
+    """Unit vectors to the light, half vectors and irradiance at flat texels, in all rows or in ``rows``.
 
     N x R x R x 3 each.
     """
@@ -281,7 +281,7 @@ def geometry(views: Views, resolution: int, rows: slice = ALL) -> tuple[Tensor, 
 
 
 def whole_numbers(index: Sequence[int] | Tensor) -> list[int]:
-    """An index as a list of whole numbers; CaptureError for text, fractions, truth values and the like."""
+    """An index as a list of whole numbers; CaptureError for text, fractions, booleans and the like."""
     try:
         numbers: list = index.tolist() if hasattr(index, "tolist") else list(index)
         if any(isinstance(number, bool) for number in numbers):
@@ -292,7 +292,7 @@ def whole_numbers(index: Sequence[int] | Tensor) -> list[int]:
 
 
 def photo_numbers(text: str | None) -> list[int] | None:
-    """The numbers in a text like ``0,1,2,5``, ConfigError where it has none. None stands for all photos."""
+    """The numbers in a text like ``0,1,2,5``; ConfigError for any other text. None stands for all photos."""
     try:
         return None if text is None else [int(part) for part in text.split(",")]
     except ValueError:

@@ -1,18 +1,18 @@
 """Views from rectified photos alone: where camera and flash stood, and how strong the flash was.
 
-One material for all texels' lobes explains the photos roughly, with flash and camera together at (x, y, z):
+One specular lobe for all texels explains the photos roughly, with flash and camera both at (x, y, z):
 
     radiance = e s(d, z) (rho + k lobe(roughness)),   s = z / d^3 (z / d)^b
 
-rho of each texel and k, held near one level, are eliminated (variable projection, Golub and Pereyra 1973);
-what is left to find are the places, exposures e and three numbers for all: the roughness, the level of k and
-b. b is what the light falls off faster than a point's: the beam of a flash and the darker corners of a lens.
-Without it real photos seem taken from half as far.
+rho and k of each texel, with k near one level, are eliminated (variable projection, Golub and Pereyra 1973).
+The unknowns that remain are the places, exposures e and three numbers for all: the roughness, the level of
+k and b. b says how much faster the light falls off than a point light's, by the beam of a flash and the
+darker corners of a lens. Without b, real photos seem taken from half as far.
 
-- Where a highlight is, there is the mirror point: the flash stands above it, for sure and in patch sides.
-- How far away is hardly told: flash, material and lens can all make the same gradient. So heights lie around
-  what phones do (:data:`HEIGHT`, :data:`SPREAD`), and how sure they are is stated.
-- How much light there was is told by nothing but what materials usually reflect (:data:`F0`,
+- A highlight marks the mirror point. The flash stands above it: so x and y are certain, in patch sides.
+- The photos hardly tell the height: flash, material and lens can all make the same gradient. So heights lie
+  around those usual for phones (:data:`HEIGHT`, :data:`SPREAD`), and their uncertainty is stated.
+- Only what materials usually reflect tells the light power (:data:`F0`,
   :data:`~mitsvbrdf.material.maps.USUAL_ALBEDO`).
 """
 
@@ -38,9 +38,9 @@ from ..views import Views
 
 ESTIMATE_SIDE = 32  # pixels a side that are looked at
 GAMMA = 2.2  # errors are counted in radiance^(1 / GAMMA), whatever the photos' transfer
-NOISE = 0.05  # of these: one lobe for all is rough
-ALIKE = 40.0  # pixels count as one: what this model lacks hangs together
-ROBUST = 1.5  # errors beyond so many times the noise count by their size alone
+NOISE = 0.05  # standard deviation of these errors: one lobe for all is rough
+ALIKE = 40.0  # so many pixels count as one: errors of this model are correlated
+ROBUST = 1.5  # errors beyond so many times the noise count linearly
 # radiance, and change of its logarithm between photos, below which nothing is told
 DARK_RADIANCE, SAME_LOG = 0.01, 0.01
 
@@ -48,22 +48,22 @@ DARK_RADIANCE, SAME_LOG = 0.01, 0.01
 # heights were 1.7 to 4.0 patch sides with a median of 1.9, and cameras were spread over 0.10 to 0.18 of their
 # height, root mean square by axis.
 HEIGHT, SPREAD = (2.2, 0.15), (0.14, 0.15)
-HEIGHTS, EXPOSURES = 0.06, 0.05  # how unlike those of the photos of one capture are
+HEIGHTS, EXPOSURES = 0.06, 0.05  # standard deviations, natural logarithms, between the photos of one capture
 SIDEWAYS = 0.5  # patch sides, around the centre
 BEAM = (2.5, 1.5)  # b, and how it varies; the same captures, with known views: 0.7 to 5 but for the mattest
 ROUGHNESS = (0.3, 0.5)  # alpha
 LEVELS = (0.1, 1.0)  # level of k as a share of the brightest diffuse
 OWN = 0.7  # how far a texel's own k may be from the level, as a share of it
 F0 = (DIELECTRIC_F0, 0.4)  # median
-POWER = (F0[1] ** -2 + USUAL_ALBEDO[1] ** -2) ** -0.5  # how well both tell the logarithm of the light power
+POWER = (F0[1] ** -2 + USUAL_ALBEDO[1] ** -2) ** -0.5  # standard deviation of the log light power by both
 
 PHOTO = Layout(place=(2,), height=(), exposure=())  # the unknowns of one photo
-ESTIMATED = Layout(camera=(3,), log_exposure=())  # what they say of it; lengths in patch sides
+ESTIMATED = Layout(camera=(3,), log_exposure=())  # what is found for a photo; lengths in patch sides
 
 
 @dataclass(frozen=True)
 class EstimatedViews:
-    """Views estimated from photos, and how sure they are; the same lateral place for camera and flash."""
+    """Views estimated from photos, and how sure they are; camera and flash are at the same place."""
 
     views: Views  # the N views, in the unit of the capture's
     deviation: Tensor  # standard deviations N x 4, by ESTIMATED
@@ -88,8 +88,8 @@ def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
     """The capture with views estimated from its photos, if it has none of its own; with a note, and what was
     found.
 
-    It is itself, and found is None, where views are known. Where they cannot be estimated (:func:`why_not`)
-    the default geometry is taken, and a note says why.
+    A capture with known views is given back as it is, with None. Where views cannot be estimated
+    (:func:`why_not`), the default geometry is taken, and a note says why.
     """
     if capture.calibrated:
         return capture, None
@@ -110,8 +110,8 @@ def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
 def estimate_views(capture: Capture) -> EstimatedViews:
     """The most probable views of photos of an unknown material; a few seconds. See the module.
 
-    The capture has 3 photos or more that :func:`why_not` has nothing against. Of its views only their unit is
-    looked at.
+    The capture has 3 photos or more, and :func:`why_not` gives None for it. Of its views only the unit is
+    used.
     """
     problem = Problem(capture)
     start = np.zeros(problem.layout.size)
@@ -131,9 +131,9 @@ def estimate_views(capture: Capture) -> EstimatedViews:
 class Problem:
     """The least-squares problem in unknowns whose prior is the standard normal distribution.
 
-    By ``layout`` they are ``photos``, those of each (:data:`PHOTO`: x and y, height beside the common one,
-    exposure), and of all the ``height``, ``beam`` (b), ``alpha`` (roughness) and ``level`` (of k, beside the
-    brightest diffuse).
+    By ``layout``: ``photos`` are those of each photo (:data:`PHOTO`: x and y, height relative to the common
+    one, exposure). The others are shared by all: ``height``, ``beam`` (b), ``alpha`` (roughness) and
+    ``level`` (of k, relative to the brightest diffuse).
     """
 
     def __init__(self, capture: Capture) -> None:
@@ -149,7 +149,7 @@ class Problem:
         self.typical = float(np.median(self.light, axis=0).max())
 
     def mirror_points(self) -> np.ndarray:
-        """Place of each photo that is brightest relative to the others, N x 2: mostly its highlight."""
+        """The place in each photo that is brightest relative to the others, N x 2: mostly a highlight."""
         level = np.median(self.light, axis=(1, 2), keepdims=True) + DARK_RADIANCE
         logs = np.log(self.light / level + DARK_RADIANCE)
         excess = logs - np.median(logs, axis=0)
@@ -177,7 +177,7 @@ class Problem:
         return camera, np.exp(EXPOSURES * own.exposure), shared
 
     def slopes(self, u: np.ndarray) -> np.ndarray:
-        """N x 4 x U: of what is :data:`ESTIMATED` by the unknowns."""
+        """Derivatives of :data:`ESTIMATED` by the U unknowns: N x 4 x U."""
         camera, _, _ = self.places(u)
         (x, y, z), exposure = ESTIMATED.numbers.camera, ESTIMATED.numbers.log_exposure
         slope, common = np.zeros((self.count, ESTIMATED.size, self.layout.size)), self.layout.numbers
@@ -189,7 +189,7 @@ class Problem:
         return slope
 
     def shading(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
-        """Factors of rho and k, N x R x R each, 1 below a flash at the common height; and the level of k."""
+        """Factors of rho (1 below a flash at the common height) and k, N x R x R each; and the level of k."""
         camera, exposure, shared = self.places(u)
         away = camera[:, None, None] - self.texels
         square = (away**2).sum(axis=-1)
@@ -217,16 +217,16 @@ class Problem:
         return rho, k, self._error(rho * diffuse + k * lobe)[0]
 
     def _error(self, radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Errors, 0 where a clipped photo is met by enough light, and their slope by the radiance."""
+        """Errors, 0 where the radiance reaches a clipped value or exceeds it; and their slope by radiance."""
         error = radiance ** (1 / GAMMA) - self.shown
         slope = np.maximum(radiance, 1e-3) ** (1 / GAMMA - 1) / GAMMA
         return np.where(self.clipped & (error > 0), 0, error), slope
 
     def errors(self, u: np.ndarray) -> np.ndarray:
-        """Errors of the photos and of the priors, in standard deviations; their squares' sum is least."""
+        """Errors of the photos and of the priors, in standard deviations; the fit minimizes their squares."""
         _, k, error = self.texel_fit(u)
         camera, _, shared = self.places(u)
-        own = (k / shared["level"] - 1) / OWN / 3  # counts little: one lobe for all is a picture of speech
+        own = (k / shared["level"] - 1) / OWN / 3  # counts little: one lobe for all is only an approximation
         left = np.concatenate((error / NOISE, own[None])).ravel()
         robust = (np.sign(left) * np.sqrt(2 * (np.sqrt(1 + (left / ROBUST) ** 2) - 1)) * ROBUST
                   / math.sqrt(ALIKE))
@@ -235,7 +235,7 @@ class Problem:
         return np.concatenate((robust, u, [math.log(ratio / SPREAD[0]) / SPREAD[1]]))
 
     def power(self, u: np.ndarray) -> float:
-        """Radiant intensity (patch sides squared) that makes albedo and F0 usual, to :data:`POWER`."""
+        """Radiant intensity (patch sides squared) at which albedo and F0 are usual, to :data:`POWER`."""
         rho, _, _ = self.texel_fit(u)
         _, _, shared = self.places(u)
         votes = [(math.log(shared["level"] / F0[0]), F0[1]), (math.log(np.median(rho) / USUAL_ALBEDO[0]),

@@ -1,9 +1,9 @@
-"""How the numbers of a calibration are meant, and whether its photos bear them out.
+"""How the numbers of a calibration are meant, and whether its photos confirm them.
 
 Nothing in a file says where x and y point, nor in which units lengths and light power are. The photos do.
-Flat texels of one roughness explain them roughly under the right reading, and much worse where highlights and
-shading are expected elsewhere. Each texel's diffuse colour and F0, and each photo's gain, are the best ones
-under each reading; what is left unexplained is compared.
+Flat texels of one roughness explain the photos roughly under the right reading. Under a wrong one, highlights
+and shading are expected elsewhere, and the error is much larger. Under each reading, each texel's diffuse
+colour and F0, and each photo's gain, are the best ones; the errors that are left are compared.
 """
 
 from __future__ import annotations
@@ -31,17 +31,17 @@ Axes = Literal["right-up", "right-down", "left-up", "left-down", "up-right", "up
 WAYS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "up": (0.0, 1.0), "down": (0.0, -1.0)}
 
 READING_SIDE = 16  # pixels a side that are looked at: relief averages out
-LEAST_PHOTOS = 4  # of three each texel's two numbers leave one, and right calibrations were not the best
+LEAST_PHOTOS = 4  # of three, each texel's two numbers leave one free value: right calibrations were not best
 ALPHAS = 0.05, 0.1, 0.2, 0.35, 0.6
 DIM = 0.05  # radiance from which on errors count relative to it
 GAINS = 0.8, 1.25  # of a photo, in each of two rounds
-# Unexplained by another reading, as a share of what the stated one leaves. Of eighteen real captures and
+# Error left by another reading, as a share of the error left by the stated one. Of eighteen real captures and
 # twenty known materials with right calibrations the best other reading left 1.3 times as much and more.
 CLEARLY = 0.87
 HEIGHTS = 0.4, 20.0  # patch sides; of real captures 1.7 to 4.1. Beyond, a side in another unit is tried
-# Median reflectance (diffuse + F0) beyond any usual material's; of the same 0.02 to 1.0. USUAL is between.
+# Limits beyond any usual median reflectance (diffuse + F0); the same materials: 0.02 to 1.0. USUAL: between.
 FAINT, BRIGHT, USUAL = 0.005, 3.0, 0.14
-UNITS = 1e-6, 1e-4, 1e-3, 1e-2, 1e2, 1e3, 1e4, 1e6  # factors of light powers with units of lengths or watts
+UNITS = 1e-6, 1e-4, 1e-3, 1e-2, 1e2, 1e3, 1e4, 1e6  # factors on light power from other length or power units
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Reading:
     Args:
         axes: where x and y of the positions point in the photos.
         side: of the patch, in the unit of the positions; None: as stated.
-        light_factor: by what the stated light power is multiplied.
+        light_factor: factor by which the stated light power is multiplied.
 
     Raises:
         ConfigError: values out of range.
@@ -72,7 +72,7 @@ class Reading:
 
     @classmethod
     def told(cls, options: Mapping) -> Reading:
-        """The reading that options of a command line tell, among others."""
+        """The reading that some of the options of a command line state."""
         return cls(**{each.name: options[each.name] for each in fields(cls) if each.name in options})
 
     def of(self, capture: Capture) -> Capture:
@@ -169,7 +169,7 @@ def _left(photos: Tensor, seen: Tensor, views: Views) -> tuple[float, float]:
 
 
 def _non_negative(terms: Tensor, goal: Tensor) -> Tensor:
-    """The two numbers of each texel, R x R x 2, >= 0, with which terms N x R x R x 2 sum up to the goal."""
+    """The two weights >= 0 of each texel, R x R x 2, with which terms, N x R x R x 2, add up to the goal."""
     curve = torch.einsum("nijp,nijq->ijpq", terms, terms)
     slope = torch.einsum("nijp,nij->ijp", terms, goal)
     own = curve.diagonal(dim1=-2, dim2=-1).clamp_min(1e-30)

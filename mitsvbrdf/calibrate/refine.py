@@ -7,10 +7,10 @@ calibration, and residuals in display values, robust (Huber) and one-sided where
 :mod:`mitsvbrdf.fit.losses`. Levenberg-Marquardt; derivatives are central differences of the float64 analytic
 renderer.
 
-Residuals are not independent noise: where a map is wrong, so are all pixels around. So noise is measured on
+Residuals are not independent noise: an error of a map affects all pixels around it. So noise is measured on
 the residuals themselves (:meth:`Problem.evidence`). Without that, photos held out of a real fit moved their
 flash by more than a patch side, to explain errors of the maps; with it, by 0.02. An error of the maps that
-looks like a shift of the highlight is taken for one.
+looks like a shift of the highlight is mistaken for such a shift.
 """
 
 import math
@@ -40,23 +40,23 @@ from ..views import NEAREST, Views
 UNKNOWNS = ("camera_x", "camera_y", "camera_z", "flash_x", "flash_y", "flash_z", "log_exposure")
 CHANGE = Layout(camera=(3,), flash=(3,), log_exposure=())  # the same, as parts
 REFINE_SIDE = 128  # pixels a side that are looked at; larger photos and maps are area-averaged
-# of the differences, in patch sides: 1e-3 of the sharpest highlight; its error is 1e-6 of the slope
+# step of the differences, in patch sides: 1e-3 of the sharpest highlight; slopes are exact to 1e-6
 STEP = 1e-5
 STEP_FLOAT32 = 1e-4  # where values have the digits of float32
-# residuals beyond so many deviations count by their size alone: 95 % efficient on normal noise (Huber 1981)
+# residuals beyond so many deviations count linearly: 95 % efficient on normal noise (Huber 1981)
 HUBER = 1.345
-BLOCKS = 8  # a side; averages over these show how far residuals hang together
+BLOCKS = 8  # blocks a side; averages over these show how far residuals are correlated
 ITERATIONS, SETTLED = 30, 1e-2  # at most; and the step, in prior standard deviations, that ends it earlier
 
 
 @dataclass(frozen=True)
 class Priors:
-    """How far a calibration may be off: standard deviations, in patch sides. 0 holds a number.
+    """How far a calibration may be off: standard deviations, in patch sides. 0 holds a number fixed.
 
     Args:
         camera: (x, y, z) of each photo's camera; the flash moves along. Captures whose calibration could be
-            checked were right to 0.003 sideways and to 1 to 3 % of their 1.8 sides of height; ten times that
-            sideways, for those that could not.
+            checked were right to 0.003 sideways and to 1 to 3 % of their 1.8 sides of height. The default is
+            ten times that sideways, for captures that could not be checked.
         flash: (x, y, z) of each photo's flash from its place beside the camera: highlight centres of real
             captures lie within 0.01 to 0.03 of what one flash offset for all photos predicts.
         exposure: natural logarithm; a camera that sets exposure or flash by itself repeats itself to about 10
@@ -80,10 +80,10 @@ class Priors:
                               "give 0 to hold a number fixed")
 
 
-# How far views may be off that a fit refines beside its maps, by where they come from. A phone is some two
-# patch sides away: a sheet tells its place to 0.3 % of that, features of the photos to 2 to 3 %. Of views
-# estimated from rectified photos the places of highlights are known; how far away and how strong the flash is
-# was settled there, and maps would only undo it.
+# Priors of views that a fit refines together with its maps, by the source of the views. A phone is some two
+# patch sides away: a sheet tells its place to 0.3 % of that, features of the photos to 2 to 3 %. For views
+# estimated from rectified photos, the places of highlights are known. The estimate has settled distance and
+# strength of the flash, and maps would only undo that.
 PRIORS: dict[Calibration, Priors] = {
     "given": Priors(camera=(0.01, 0.01, 0.02), flash=(0.01, 0.01, 0.01), exposure=0.03,
                     common_flash=(0.15, 0.15)),
@@ -127,7 +127,7 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
         renderer: draws everything a scene may need; default: the analytic one, in float64.
 
     Returns:
-        A local optimum: a highlight must overlap its photo's to be drawn there.
+        A local optimum: a rendered highlight moves to the photo's highlight only if both overlap.
 
     Raises:
         CaptureError: not as many views as photos.
@@ -192,11 +192,11 @@ class Problem:
         self.photos, most = (torch.cat(pooled).permute(0, 2, 3, 1) for pooled in zip(*(
             (F.adaptive_avg_pool2d(photo, side), F.adaptive_max_pool2d(photo, side))
             for photo in (capture.photo(row)[None].double().permute(0, 3, 1, 2) for row in range(count)))))
-        self.clipped = most >= CLIPPED  # in part, too
+        self.clipped = most >= CLIPPED  # pixels that are clipped in part, too
         self.measured = capture.measured_at(side)
         if self.measured is not None:
             self.clipped |= ~self.measured[..., None]
-        # Of everything: light and camera move apart.
+        # Needs() asks for everything, because light and camera move apart.
         self.renderer = renderer or AnalyticRenderer(torch.float64, Needs())
         self.step = STEP_FLOAT32 if renderer else STEP
         self.at_once = None if renderer else count  # the analytic renderer holds much of each view
@@ -225,7 +225,7 @@ class Problem:
         return self.expected + (self.spread @ u).reshape(-1, len(UNKNOWNS))
 
     def residuals(self, radiance: Tensor) -> Tensor:
-        """Display values minus the photos', N x R x R x 3; 0 where clipped ones are met, or masked."""
+        """Display values minus the photos', N x R x R x 3; 0 where masked, or a clipped value is reached."""
         error = color.encode(radiance, self.transfer) - self.photos
         error = torch.where(self.clipped, error.clamp_max(0), error)
         return error if self.measured is None else error * self.measured[..., None]
@@ -234,8 +234,8 @@ class Problem:
         """Noise of each photo's residuals, and how many of them count as one: both N x 1 x 1 x 1.
 
         The noise is 1.48 times the median size of the residuals (the standard deviation, if they were
-        normal). If they were independent, the mean square of their averages over blocks of m would be that of
-        one over m; as many times more as it is, so many count as one.
+        normal). For independent residuals, the mean square of averages over blocks of m is 1 / m of that of
+        single ones. The factor by which it is larger here is the number that counts as one.
         """
         sizes = torch.where(self._bright_enough(error), torch.nan, error.abs()).flatten(1)
         noise = (sizes.nanmedian(dim=1).values.nan_to_num(0) * 1.4826).clamp_min(QUANTIZATION_NOISE).reshape(
@@ -254,7 +254,7 @@ class Problem:
         return self._cost(u, self.residuals(self.drawn(views)), evidence)
 
     def linear(self, u: Tensor, evidence: tuple[Tensor, Tensor] | None = None) -> Linear:
-        """The cost around u; default of the evidence: what there is at u."""
+        """The cost, linearized around u; default of ``evidence``: that of the residuals at u."""
         change = self.change(u)
         radiance = self.drawn(moved(self.given, change))
         error = self.residuals(radiance)

@@ -1,8 +1,8 @@
 """Captures whose files state a calibration.
 
-:func:`from_json` reads ``capture.json`` (svbrdf-diff-renderer's, with our keys besides), :func:`from_text`
-the text files of MaterialGAN. Both check what they read, photo by photo and number by number, before a
-:class:`Capture` is made.
+:func:`from_json` reads ``capture.json`` (the format of svbrdf-diff-renderer, and keys of our own),
+:func:`from_text` the text files of MaterialGAN. Both check what they read, photo by photo and number by
+number, before a :class:`Capture` is made.
 """
 
 import contextlib
@@ -35,16 +35,16 @@ COLOURS = dict[str, Converted]
 KINDS = {NUMBER: "a finite number", ROW: "three numbers", ROWS: "rows of three numbers",
          COLOURS: "`photos` and `outside` by name of a colour profile"}
 STATED = "target_dir", "camera_pos", "light_pos", "light_pow", "im_size", "idx"
-MOST_HELD = 500_000_000  # pixels of all photos of a capture, shrunk: 6 GB
+MOST_HELD = 500_000_000  # pixels of all photos of a capture together, after shrinking: 6 GB
 
 
 def stated_in(folder: Path) -> Path | None:
-    """The JSON file in a folder that states views of photos, as svbrdf-diff-renderer names it, or None;
-    CaptureError for several that differ.
+    """The JSON file in a folder that states views of its photos, or None; CaptureError for several files
+    that differ. The keys are those of svbrdf-diff-renderer.
     """
     found: dict[Path, list] = {}
     for path in sorted(folder.glob("*.json")):
-        with contextlib.suppress(OSError, ValueError, TypeError):  # one without these, or of another kind
+        with contextlib.suppress(OSError, ValueError, TypeError):  # a file without these keys, or no JSON
             stated = load(path)
             if "camera_pos" in stated and any((folder / stated.get("target_dir")).glob("[0-9]*.*")):
                 found[path] = [stated.get(key) for key in STATED]
@@ -104,7 +104,7 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
 
 
 def _assumed(stated: dict, path: Path, rows: int) -> dict:
-    """The default geometry of a capture without ``camera_pos``, in its unit of length."""
+    """Keys of the default geometry for a capture without ``camera_pos``, in its unit of length."""
     beside = [key for key in ("light_pos", "light_pow") if key in stated]
     if beside:
         raise CaptureError("the key 'camera_pos' beside light_pos and light_pow",
@@ -117,8 +117,8 @@ def _assumed(stated: dict, path: Path, rows: int) -> dict:
 
 
 def from_text(folder: Path, falloff: Falloff, resolution: int | None) -> Capture:
-    """The capture of MaterialGAN's text files beside its photos, shrunk to ``resolution``. CaptureError names
-    what is missing or wrong.
+    """The capture of a folder with MaterialGAN's text files beside its photos, which are shrunk to
+    ``resolution``. CaptureError names what is missing or wrong.
     """
     photos = _numbered(folder)
     camera = _stated(_table(folder / "camera_pos.txt"), ROWS, str(folder / "camera_pos.txt"))
@@ -139,9 +139,9 @@ def from_text(folder: Path, falloff: Falloff, resolution: int | None) -> Capture
 def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index: list[int], source: Path,
                 resolution: int | None, calibration: Calibration = "given",
                 told: dict[str, Converted] | None = None) -> Capture:
-    """The capture; one photo at a time is decoded, and shrunk before the next one, or kept as stored.
+    """The capture. Each photo is decoded, and shrunk or kept as stored, before the next one is decoded.
 
-    ``told`` is what the maker of the capture has converted.
+    ``told``: the conversions to sRGB that the calibration file states.
     """
     headers = [header(path, CaptureError) for path in paths]
     side = _common_side(paths, [each.size for each in headers], source)
@@ -213,7 +213,7 @@ def _numbered(folder: Path) -> dict[int, Path]:
 
 
 def _views(camera: list, light: list, power: Any, size: float, falloff: Falloff, where: str) -> Views:
-    """Views with the counts checked and the file named in each error."""
+    """Views, after a check that the counts agree; each error names the file."""
     power = _power(power, len(camera), f"light_pow in {where}")
     if len(light) != len(camera):
         raise CaptureError(f"light_pos of {len(camera)} rows, as camera_pos", f"{len(light)} rows in {where}",
@@ -243,7 +243,7 @@ def _same_count(what: str, rows: int, photos: int) -> None:
 
 
 def _stated(value: Any, shape: Any, where: str) -> Any:
-    """Numbers of a calibration in a shape, as floats."""
+    """Numbers of a calibration, converted to the type ``shape``, as floats."""
     try:
         return msgspec.convert(value, shape)
     except msgspec.ValidationError as reason:

@@ -1,4 +1,4 @@
-"""The capture value type: rectified photos of one patch with their views, and what they state of colours."""
+"""The capture value type: rectified photos of one patch, their views, and their conversions of colours."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from ..views import Views, whole_numbers
 
 @dataclass(frozen=True)
 class Converted:
-    """Photos of one profile, converted to sRGB: how many, and the share of pixels that lay outside of it."""
+    """Photos of one profile, converted to sRGB: their number, and their share of pixels outside of sRGB."""
 
     photos: int
     outside: float
 
 
 def converted(stated: Mapping[str, Profile | None], outside: Mapping[str, float]) -> dict[str, Converted]:
-    """What was converted, by the profile's name; of the photos in ``outside``, shares of pixels by name.
+    """The conversions, by name of the profile, of the photos in ``outside`` (share of pixels by photo name).
 
     InputWarning: a profile that cannot be used.
     """
@@ -43,7 +43,7 @@ def converted(stated: Mapping[str, Profile | None], outside: Mapping[str, float]
             more = f" and {len(those) - 1} more photos" if those[1:] else ""
             warnings.warn(f"{those[0]}{more}: {profile.name} cannot be used ({profile.reason}); the values "
                           "are taken as sRGB; export the photos as sRGB", InputWarning, stacklevel=2)
-    alike: dict[str, list[float]] = {}  # profiles of one name may differ, as in when they were made
+    alike: dict[str, list[float]] = {}  # profiles of one name may differ, for example in their date
     for profile, those in names.items():
         if not profile.reason:
             alike.setdefault(profile.name, []).extend(outside[name] for name in those)
@@ -58,7 +58,7 @@ def notes_of(colours: Mapping[str, Converted]) -> list[str]:
 
 
 def used_transfer(transfer: Transfer, colours: Mapping[str, Converted]) -> tuple[Transfer, list[str]]:
-    """The transfer function to use: values that were converted are those of sRGB, not linear; and a note."""
+    """The transfer function to use, and a note: values converted from a profile are sRGB, not linear."""
     if transfer != "linear" or not colours:
         return transfer, []
     return "srgb", [f"transfer srgb is used, not linear: the photos state the profile {', '.join(colours)}, "
@@ -66,7 +66,7 @@ def used_transfer(transfer: Transfer, colours: Mapping[str, Converted]) -> tuple
 
 
 LEAST_SIDE = 8  # pixels
-SINGLE = 32  # pixels a side that are kept as they were, of photos that are shrunk
+SINGLE = 32  # single pixels a side that a shrunk photo keeps of the original
 
 # Where the views of a capture come from: its maker, a marker sheet, the features that raw photos share, or
 # nowhere.
@@ -77,7 +77,7 @@ KEPT = torch.float32, torch.uint8, torch.uint16  # types that photos are kept in
 
 
 class _Photos:
-    """Photos as float32 display values, whatever they are kept in."""
+    """Photos as float32 display values, whatever type they are kept in."""
 
     def __get__(self, capture: Capture | None, _: type | None = None) -> Tensor:
         if capture is None:
@@ -93,24 +93,24 @@ class Capture:
     """Photos rectified to one frontal view: pixel (i, j) of each is the same point of the material.
 
     Args:
-        photos: N x R x R x 3, display values in [0, 1], row 0 at the top, float32; or as stored in 8 or 16
-            bits, in which case they stay so (:attr:`stored`) and are made float32 anew by each access.
+        photos: N x R x R x 3, display values in [0, 1], row 0 at the top: float32, or 8 or 16 bits as stored.
+            Integers are kept (:attr:`stored`), and each access converts them to float32.
         views: the N views.
         transfer: how display values encode linear radiance.
         index: the number of each photo in the capture it was read from (0-based), e.g. (0, 1, 2, 3, 5, 6, 8).
-        calibration: where the views come from; of ``none`` they are the stated default geometry.
-        source: the folder it came from.
+        calibration: where the views come from; ``none``: they are the stated default geometry.
+        source: the folder that the capture came from.
         notes: what a user should know about how it was read (rejected photos, default geometry, ...).
-        colours: what was converted to sRGB, by the name of the photos' colour profile.
-        measured: N x R x R, False where photos are made up (masked, or beyond an edge); None: nowhere.
+        colours: conversions to sRGB, by the name of the photos' colour profile.
+        measured: N x R x R, False where a photo is filled in (masked, or beyond its edge); None: nowhere.
         carries: resolution of the detail in the photos before they were shrunk, pixels a side
-            (:mod:`.sharpness`); None: not asked.
+            (:mod:`.sharpness`); None: not measured.
         single: N x P x P x 3, single pixels of the photos before they were shrunk (:func:`single_pixels`);
             None: they were not shrunk.
 
     Raises:
-        CaptureError: photos of another shape or with values that no photo has, or not a view and a number for
-            each; views that :meth:`Views.check` refuses; ``measured`` that is no mask of them.
+        CaptureError: photos of another shape or with values that no photo has; views or numbers that are
+            not one for each photo; views that :meth:`Views.check` refuses; ``measured`` that is no mask.
         ConfigError: another transfer function or calibration.
     """
 
@@ -159,7 +159,7 @@ class Capture:
 
     @property
     def name(self) -> str:
-        """Name of its folder; empty without one."""
+        """Name of the source folder; empty without one."""
         return os.path.basename(os.path.abspath(self.source)) if self.source else ""
 
     @property
@@ -196,19 +196,19 @@ class Capture:
         return replace(self, **{"photos": self.stored, **changes})
 
     def through(self, transfer: color.Transfer | None) -> Capture:
-        """The photos through the curve that a fit found, if its transfer function has their response."""
+        """The capture with the curve that a fit found (``transfer``), if both have the same response."""
         if transfer in (None, self.transfer) or color.parts(transfer)[0] != color.parts(self.transfer)[0]:
             return self
         return self.but(transfer=transfer)
 
     @property
     def usable(self) -> Tensor:
-        """Where the photos tell a value, N x R x R x 3: measured and not clipped."""
+        """Where the value of a photo is known, N x R x R x 3: measured and not clipped."""
         below = torch.stack([self.photo(row) < color.CLIPPED for row in range(len(self))])
         return below if self.measured is None else below & self.measured[..., None]
 
     def measured_at(self, resolution: int) -> Tensor | None:
-        """:attr:`measured` at another size: averages with a pixel that is not measured are not."""
+        """:attr:`measured` at another size: an average is measured if all of its pixels are."""
         hidden = None if self.measured is None else (~self.measured[..., None]).float()
         return None if hidden is None else area_averaged(hidden, resolution)[..., 0] == 0
 
@@ -220,13 +220,13 @@ class Capture:
                        single=self.single_at(resolution))
 
     def single_at(self, resolution: int) -> Tensor | None:
-        """:attr:`single` once the photos are shrunk to this size."""
+        """:attr:`single` as it is after the photos are shrunk to this size."""
         if self.single is not None or resolution == self.resolution:
             return self.single
         return torch.stack([single_pixels(photo, resolution) for photo in self.stored])
 
     def of_single(self) -> Capture | None:
-        """The photos of :attr:`single` pixels; None where photos are whole, or masked."""
+        """The capture with :attr:`single` pixels as photos; None if photos were not shrunk, or are masked."""
         shrunk = self.single is not None and self.measured is None
         return self.but(photos=self.single, single=None, carries=None) if shrunk else None
 
@@ -257,7 +257,7 @@ class Capture:
 
 
 def single_pixels(picture: Any, resolution: int) -> Any:
-    """Pixels of a square picture, S x S x 3, in the middles of equal squares, to half a pixel."""
+    """The middle pixels (to half a pixel) of P x P equal squares of a square picture: P x P x 3."""
     count = min(SINGLE, resolution)
     at = [(2 * k + 1) * len(picture) // (2 * count) for k in range(count)]
     return picture[at][:, at]
@@ -267,7 +267,7 @@ Capture.photos = _Photos()  # type: ignore[assignment,misc]
 
 
 def _checked(photos: Tensor) -> Tensor:
-    """Photos as float32, or as stored in 8 or 16 bits, when their shape and values are those of photos."""
+    """Photos as float32, or as stored in 8 or 16 bits; CaptureError for a shape or values of no photo."""
     if not isinstance(photos, Tensor) or not (photos.is_floating_point() or photos.dtype in KEPT):
         raise CaptureError("photos as a float tensor", repr(getattr(photos, "dtype", type(photos).__name__)),
                            "give display values in [0, 1]: 8 bits divided by 255")
@@ -277,7 +277,7 @@ def _checked(photos: Tensor) -> Tensor:
     if not photos.is_floating_point():
         return photos
     least, most = photos.aminmax()
-    if not (least >= 0 and most < float("inf")):  # nor where they are NaN
+    if not (least >= 0 and most < float("inf")):  # NaN fails this test, too
         raise CaptureError("photos of display values >= 0, finite", f"values from {least:g} to {most:g}",
                            "check how they were read or developed")
     if most > 1 and (mean := float(photos.mean())) > 2:

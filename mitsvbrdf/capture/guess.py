@@ -22,17 +22,17 @@ BLUR = 1 / 32  # standard deviation of mean-blur, as a share of the image side
 
 # The numbers of a texel of `robust`: slopes of its normal, width and strength of its lobe, and its albedo.
 TEXEL = Layout(tilt=(2,), log_alpha=(), log_f0=(), log_albedo=())
-# of these beside what is typical; of an albedo nothing is known beforehand
+# prior standard deviations of these from the typical ones; nothing is known of the albedo beforehand
 SURFACE_SD = torch.tensor((0.5, 0.5, 0.5, 1.0, torch.inf))
-# a dielectric; hardly a highlight
+# two starts: a dielectric; a surface with hardly a highlight
 STARTS = [{"log_alpha": math.log(0.3), "log_f0": math.log(f0)} for f0 in (0.04, 0.001)]
 DISPLAY, BLACK = 0.4, 1e-4  # a display value is about (albedo + BLACK)^DISPLAY
-NOISE = 0.03  # what a display value is trusted to: the photo, the calibration and this model
-# starts tried for either slope: a fit started flat sticks to a wrong highlight
+NOISE = 0.03  # standard deviation of a display value, by the photo, the calibration and this model
+# start values of each slope of the normal: a fit that starts flat sticks to a wrong highlight
 TILTS = (-0.6, -0.3, 0.0, 0.3, 0.6)
 STEPS = 8
-DELTA = 1e-3  # of the finite differences
-FIT_SIZE = 256  # texels a side that are fitted; of larger photos, area averages
+DELTA = 1e-3  # step of the finite differences
+FIT_SIZE = 256  # texels a side that are fitted; larger photos are area-averaged
 CHUNK = 4096  # texels fitted at once: their Jacobian stays in the cache
 
 
@@ -51,8 +51,8 @@ def guess_diffuse(capture: Capture, method: GuessMethod = "robust") -> Tensor:
             ``robust``: ours: falloff and cosine undone; one tilted, rough, grey highlight fitted to each
             texel's few values and subtracted; then the median over the photos, without clipped pixels.
             Diffuse RMSE on six known materials 0.048 where ``min`` has 0.085. Its weak side: where no photo
-            looks far from the highlight, or the calibration is off, broad highlights take colour from the
-            diffuse map (real bamboo, red plastic).
+            shows a texel far from its highlight, or the calibration is off, broad highlights take colour from
+            the diffuse map (real bamboo, red plastic).
 
     Returns:
         R x R x 3 float32, linear, in [0, 1], finite.
@@ -71,7 +71,7 @@ def guess_diffuse(capture: Capture, method: GuessMethod = "robust") -> Tensor:
 
 
 def over(value: Tensor, irradiance: Tensor) -> Tensor:
-    """The quotient, 0 where there is no light in a channel."""
+    """``value`` / ``irradiance``; 0 where a channel has no light."""
     return torch.where(irradiance > 0, value / irradiance, 0.0)
 
 
@@ -92,14 +92,14 @@ def _robust(capture: Capture) -> Tensor:
     most = over(torch.tensor(math.pi), irradiance)  # apparent albedo of a clipped pixel
     albedo = averaged_rows(lambda rows: _apparent(capture, rows).mean(dim=-1, keepdim=True),
                            capture.resolution, size)
-    # photos that show each texel; all where none does
+    # which photos show each texel; all, where none does
     shows = None if capture.measured is None else (capture.measured | ~capture.measured.any(dim=0))[..., None]
     known = (torch.ones_like(most[..., :1]) if shows is None
              else (resized((~shows).float(), size) == 0).float())
     texels = [known, _display(albedo), most.mean(-1, True), light, half]
     texels = [x.permute(3, 0, 1, 2).flatten(2).squeeze(0) for x in texels]  # N x M or 3 x N x M
     threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # more save at most a third on such small chunks, or cost 50 times the time
+    torch.set_num_threads(1)  # more threads save a third at most on small chunks, or take 50 times as long
     try:
         prior = _typical(*(x[..., :: -(-size**2 // CHUNK)].contiguous() for x in texels))
         fitted = [_shade(_fit(prior, *part), *part[3:]) for part in zip(
@@ -127,7 +127,7 @@ def _apparent(capture: Capture, rows: slice) -> Tensor:
 
 
 def _shade(texels: Tensor, light: Tensor, half: Tensor) -> tuple[Tensor, Tensor]:
-    """The cosine and the GGX lobe of M texels in N views, over a flat Lambertian's cosine: N x M each.
+    """The cosine and the GGX lobe of M texels in N views, divided by the cosine of a flat texel: N x M each.
 
     The lobe takes n.l = n.v = n.h, exact for a light at the camera.
     """
@@ -143,14 +143,14 @@ def _shade(texels: Tensor, light: Tensor, half: Tensor) -> tuple[Tensor, Tensor]
 
 def _errors(texels: Tensor, known: Tensor, display: Tensor, most: Tensor, light: Tensor, half: Tensor
             ) -> Tensor:
-    """N x M errors in standard deviations: of about display values known (1, else 0)."""
+    """Errors of approximate display values in standard deviations, N x M; 0 where ``known`` is 0."""
     shading, lobe = _shade(texels, light, half)
     return known * (_display(torch.minimum(texels[4].exp() * shading + lobe, most)) - display) / NOISE
 
 
 def _slopes(texels: Tensor, errors: Tensor, known: Tensor, display: Tensor, most: Tensor, light: Tensor,
             half: Tensor) -> Tensor:
-    """Of the errors, 5 x N x M; by tilt and width these are finite differences."""
+    """Derivatives of the errors, 5 x N x M; those by tilt and width are finite differences."""
     (shading, lobe), albedo = _shade(texels, light, half), texels[4].exp()
     level = albedo * shading
     said = level + lobe
@@ -161,17 +161,17 @@ def _slopes(texels: Tensor, errors: Tensor, known: Tensor, display: Tensor, most
 
 
 def _display(albedo: Tensor) -> Tensor:
-    """About the display value of a radiance."""
+    """The approximate display value of an apparent albedo."""
     return (albedo + BLACK) ** DISPLAY
 
 
 def _cost(errors: Tensor, texels: Tensor, prior: Tensor) -> Tensor:
-    """Of M texels, with what their surface is off a prior."""
+    """The cost of M texels: squared errors, and squared deviations of their surface from a prior."""
     return errors.square().sum(dim=0) + (SURFACE_SD**-2 @ (texels - prior).square())
 
 
 def _typical(*seen: Tensor) -> Tensor:
-    """The usual surface of this material: medians, from the start that explains the photos better."""
+    """The usual surface of this material: medians of texels, by the start that explains the photos better."""
     found = []
     for start in STARTS:
         prior = _surface(**start)
@@ -207,7 +207,7 @@ def _fit(prior: Tensor, *seen: Tensor) -> Tensor:
         trial = texels - torch.linalg.solve(curve.permute(2, 0, 1), slope.T).T.clamp(-1, 1)
         found = _errors(trial, *seen)
         its = _cost(found, trial, prior)
-        good = its < cost  # False for what is no number
+        good = its < cost  # False for NaN
         texels, errors = torch.where(good, trial, texels), torch.where(good, found, errors)
         cost = torch.where(good, its, cost)
         damping = torch.where(good, damping * 0.3, damping * 5).clamp(1e-4, 1e4)

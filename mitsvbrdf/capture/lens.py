@@ -57,14 +57,14 @@ class Lens:
         return np.array([*self.distortion, 0.0, 0.0, 0.0])
 
     def transmission(self, pixels: Array) -> Array:
-        """Share of the light that arrives at pixels (... x 2): 1 in the middle where there is vignetting."""
+        """Share of the light that arrives at pixels (... x 2); it is 1 in the middle of the photo."""
         middle = (np.array(self.size) - 1) / 2
         r2 = np.square(np.asarray(pixels) - middle).sum(axis=-1) / np.square(middle + 0.5).sum()
         return 1 + self.vignetting[0] * r2 + self.vignetting[1] * r2**2
 
 
 def field_of_view(focal_35mm: float, width: int, height: int) -> float:
-    """Degrees across the long side of a photo, from its 35 mm equivalent (equal diagonals, 43.27 mm)."""
+    """Degrees across the long side, by the 35 mm equivalent focal length (equal diagonals, 43.27 mm)."""
     focal = focal_35mm / math.hypot(36, 24) * math.hypot(width, height)
     return math.degrees(2 * math.atan(max(width, height) / 2 / focal))
 
@@ -72,7 +72,7 @@ def field_of_view(focal_35mm: float, width: int, height: int) -> float:
 def expected_lens(size: tuple[int, int], focal_35mm: Sequence[float]) -> Lens:
     """A pinhole lens as EXIF states it: the median of the photos' 35 mm equivalent focal lengths.
 
-    Of none, :data:`~mitsvbrdf.views.FIELD_OF_VIEW` is assumed.
+    Without any, :data:`~mitsvbrdf.views.FIELD_OF_VIEW` is assumed.
     """
     angle = field_of_view(float(np.median(focal_35mm)), *size) if len(focal_35mm) else FIELD_OF_VIEW
     return Lens(size, max(size) / 2 / math.tan(math.radians(angle) / 2))
@@ -93,7 +93,7 @@ class Pose:
 
     @classmethod
     def looking_at(cls, position: ArrayLike, target: ArrayLike, turn: float = 0.0) -> Pose:
-        """A camera at ``position`` with ``target`` in its middle; at ``turn`` 0 (rad) the world's y is up."""
+        """A camera at ``position`` whose axis meets ``target``; at ``turn`` 0 (rad) the world's y is up."""
         position = np.asarray(position, dtype=np.float64)
         z = np.asarray(target, dtype=np.float64) - position
         z = z / np.linalg.norm(z)
@@ -102,7 +102,7 @@ class Pose:
         return cls(position, np.stack((x, np.cross(z, x), z)))
 
     def pick(self, index: Any) -> Pose:
-        """One or some of N."""
+        """One or some of the N cameras."""
         return Pose(self.position[index], self.rotation[index])
 
     def flash(self, lens: Lens) -> Array:
@@ -110,7 +110,7 @@ class Pose:
         return self.position + self.rotation.T @ np.asarray(lens.flash)
 
     def upside_down(self) -> Pose:
-        """The pose of the photo turned by half."""
+        """The pose of the photo after a turn by 180 degrees."""
         return Pose(self.position, np.diag((-1.0, -1.0, 1.0)) @ self.rotation)
 
 

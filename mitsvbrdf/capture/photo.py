@@ -24,12 +24,12 @@ PLAIN = (".png", ".jpg", ".jpeg", ".jpe", ".jfif", ".tif", ".tiff", ".webp")
 HEIC = (".heic", ".heif", ".hif")  # need the extra `heic`
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")  # need the extra `raw`
 SUFFIXES = PLAIN + HEIC + RAW
-# lie beside photos: notes, settings, pages
+# files that may lie beside photos: notes, settings, pages
 BESIDE = (".aae", ".csv", ".db", ".html", ".ini", ".json", ".md", ".pdf", ".txt", ".xml", ".xmp", ".yaml")
 
-ORIENTATION_OF_FLIP = {3: 3, 5: 8, 6: 6}  # EXIF's by LibRaw's
+ORIENTATION_OF_FLIP = {3: 3, 5: 8, 6: 6}  # EXIF's orientation by LibRaw's flip
 
-# What can be locked, and shows where it was not: EXIF tags of the Exif block, a number each.
+# Settings that can be locked, by their tags in the Exif block; a difference shows that one was not locked.
 NUMBERS = {"ISO": 34855, "exposure time": 33434, "focal length": 37386, "35 mm focal length": 41989}
 WORDS = {"white balance": (41987, {0: "automatic", 1: "manual"}), "flash": (37385, {0: "off", 1: "fired"})}
 UNKNOWN = 65535  # what some cameras write for a number they do not know, the largest of 16 bits
@@ -50,7 +50,7 @@ class Photo:
     orientation: int = 1  # EXIF's, 1 to 8; 1: shown as stored
     exif: dict[str, Any] = field(default_factory=dict)  # see read_exif
     linear: bool = False  # whether its values are proportional to radiance: those of RAW files are
-    profile: Profile | None = None  # of its colours; None: those of sRGB
+    profile: Profile | None = None  # colour profile; None: sRGB
     balance: tuple[float, ...] = ()  # factors of white balance that a RAW file is developed with
 
     @property
@@ -66,7 +66,7 @@ class Photo:
         CaptureError: no image can be read from it, or the package that reads such files is missing.
         """
         path = Path(path)
-        if not path.is_file():  # a pipe or a device would be waited for
+        if not path.is_file():  # reading a pipe or a device would block
             raise Unreadable("a photo", f"no file at {path}", "check the name")
         with _readable(path):
             kind = kind_of(path)
@@ -81,8 +81,8 @@ class Photo:
         return cls(path, about.size, about.orientation, read_exif(path, about.kind), False, about.profile)
 
     def read(self) -> Picture:
-        """RGB as stored: display values, of RAW files linear ones; 0 where alpha masks them. Unreadable: the
-        file is damaged or cut off.
+        """RGB as stored: display values, or linear values of RAW files; 0 where alpha masks them. Unreadable:
+        the file is damaged or cut off.
         """
         with _readable(self.path):
             if not self.linear:
@@ -92,14 +92,14 @@ class Photo:
                 return found
             rawpy = needed("rawpy", "raw", self.path, CaptureError)
             white: dict = {"user_wb": list(self.balance)} if self.balance else {"use_camera_wb": True}
-            # nothing that depends on the picture: values stay comparable
+            # no option that depends on the picture, so that values stay comparable
             with rawpy.imread(str(self.path)) as raw:
                 return Picture(raw.postprocess(**white, no_auto_bright=True, output_bps=16,
                                                gamma=(1, 1), user_flip=0, adjust_maximum_thr=0.0))
 
     def pixels(self, most: int | None = None) -> np.ndarray:
-        """The pixels of :meth:`read`, H x W x 3, 8 or 16 bits. A long side of more than ``most`` pixels is
-        divided by the least whole number that makes it short enough, by area averages.
+        """The pixels of :meth:`read`, H x W x 3, 8 or 16 bits. Where the long side has more than
+        ``most`` pixels, area averages shrink it by the least whole factor that makes it short enough.
         """
         image = self.read().pixels
         with _readable(self.path):
@@ -107,7 +107,7 @@ class Photo:
 
 
 def reduced(image: np.ndarray, most: int) -> np.ndarray:
-    """Pixels averaged over squares of the least whole side that makes the long side ``most`` or less."""
+    """Averages over the smallest squares of whole pixels that make the long side ``most`` or less."""
     import cv2
 
     times = math.ceil(max(image.shape[:2]) / most)
@@ -133,7 +133,7 @@ def _readable(path: Path) -> Iterator[None]:
 
 
 def files_of(folder: Path, suffixes: Sequence[str] | None) -> list[Path]:
-    """Files of a folder with these suffixes, or of any, by name, hidden ones aside."""
+    """The files of a folder with these suffixes (None: any), sorted by name, without hidden ones."""
     if not folder.is_dir():
         raise CaptureError("a folder of photos", f"no folder at {folder}", "check the name")
     return sorted(p for p in folder.iterdir() if (suffixes is None or p.suffix.lower() in suffixes)
@@ -142,10 +142,10 @@ def files_of(folder: Path, suffixes: Sequence[str] | None) -> list[Path]:
 
 @kinds_checked
 def photos_in(folder: str | Path) -> list[Path]:
-    """The photos of a folder by name, hidden ones aside.
+    """The photos of a folder, sorted by name, without hidden ones.
 
-    CaptureError: none, or RAW files beside others, whose values mean something else. ConfigError: a name that
-    is not UTF-8.
+    CaptureError: no photo, or RAW files beside others, because their values mean something else. ConfigError:
+    a name that is not UTF-8.
     """
     found = files_of(folder := Path(folder), SUFFIXES)
     check_names(*found)
@@ -199,7 +199,7 @@ def with_one_balance(photos: Sequence[Photo]) -> tuple[list[Photo], list[str]]:
 
 
 def differences(photos: Sequence[Photo]) -> list[str]:
-    """A warning for each setting that differs, with photos and values; and one where none has the flash."""
+    """A warning for each setting that differs, with photos and values; and one if no photo has the flash."""
     found = []
     for what in SAME:
         names: dict[float | str, list[str]] = {}
@@ -233,7 +233,7 @@ def read_exif(path: Path, kind: str) -> dict[str, float | str]:
     """
     try:
         with opened(path, kind) as image:
-            block = Image.Image.getexif(image)  # that of a PNG would decode it
+            block = Image.Image.getexif(image)  # the method of a PNG would decode its pixels
             tags = dict(block.get_ifd(0x8769))
             camera = " ".join(str(block.get(tag, "")).strip("\0 ") for tag in (271, 272)).strip()
     except Exception:  # a block that cannot be read: the photo itself may still be fine

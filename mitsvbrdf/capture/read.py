@@ -29,7 +29,7 @@ from .sharpness import CLEARLY, MOST_PHOTOS, carried, middle
 from .turned import laid_alike
 
 OF_MATERIALS = "give photos; `synth` takes some of a material, `evaluate --reference` compares a fit with it"
-MOST_SQUARE = 2048  # pixels a side of what is read of a photo without calibration
+MOST_SQUARE = 2048  # most pixels a side that are kept of a photo without calibration
 
 
 @entry()
@@ -42,11 +42,11 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
 
     - ``capture.json`` as svbrdf-diff-renderer has it (docs/formats.md lists its keys); without ``camera_pos``
       nothing is known of the views but that the photos are rectified. Without ``capture.json``, another JSON
-      file with ``camera_pos`` beside its ``target_dir`` serves, such as ``optim_latent_256.json``;
+      file with ``camera_pos`` and ``target_dir`` is read, such as ``optim_latent_256.json``;
     - MaterialGAN's ``camera_pos.txt`` and other text files beside the photos ``00.png|jpg``, ...;
-    - photos alone, as a phone wrote them: three or more as
-      :func:`~mitsvbrdf.capture.stages.make_capture` sees them, upright as the first; fewer, the first
-      by name alone, with the stated default geometry.
+    - photos alone, as a phone wrote them. From three or more,
+      :func:`~mitsvbrdf.capture.stages.make_capture` makes the capture, upright as the first photo. Of fewer,
+      only the first by name is used, with the stated default geometry.
 
     Args:
         folder: the folder, the JSON file itself, or a lone photo.
@@ -56,14 +56,14 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
         transfer: how display values encode radiance; None: what the capture states, else ``gamma2.2`` for
             calibrated captures (the field's habit), ``srgb`` for plain photos, and ``linear`` for RAW files.
         falloff: see :class:`~mitsvbrdf.views.Views`.
-        report: told what is going on with plain photos, which take long, and the share done.
+        report: called with the current step and the share done for plain photos, which take long.
 
     Returns:
         The capture, in the unit of length of its calibration.
 
-    Photos are decoded one at a time and shrunk at once: at most 250 megapixels of each, 500 in all when
-    shrunk. Those turned or mirrored beside the others are laid as the others, and named in a note; see
-    :mod:`.turned`.
+    Each photo is decoded and shrunk before the next one: at most 250 megapixels of each, 500 in all when
+    shrunk. Photos that lie turned or mirrored beside the others are laid as the others, and a note names
+    them; see :mod:`.turned`.
 
     Raises:
         CaptureError: photos or calibration that cannot be used, naming the file or row.
@@ -113,11 +113,11 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
 def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None) -> None:
     """Write ``capture.json`` and ``target/NN.png``, so that :func:`read_capture` gives the same back.
 
-    Photos are numbered anew from 0; lengths stay in the capture's unit. Files have 8 bits, of linear photos
-    16.
+    Photos are numbered anew from 0; lengths stay in the capture's unit. Files have 8 bits,
+    those of linear photos 16.
 
     Args:
-        keys: more for the JSON, as :func:`~mitsvbrdf.capture.stages.capture_keys` makes them.
+        keys: further keys of the JSON, as :func:`~mitsvbrdf.capture.stages.capture_keys` makes them.
 
     Raises:
         OutputError: the folder cannot be written to.
@@ -133,7 +133,7 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
               "light_pow": power[0] if all(row == power[0] for row in power) else power}
     if not capture.calibrated and torch.allclose(views.in_patch_sides().camera.double(),
                                                  default_views(len(capture)).camera):
-        stated = {}  # the default geometry, which is no knowledge, and is what is read without these
+        stated = {}  # the default geometry: no knowledge, and what is read where these keys are missing
     files.write_json(folder / "capture.json",
                      {"target_dir": "target", "im_size": views.size, "idx": list(range(len(capture))),
                       **stated, "transfer": capture.transfer, "calibration": capture.calibration,
@@ -154,7 +154,7 @@ def _stated_above(folder: Path) -> Path | None:
 
 def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer: color.Transfer | None,
                 report: Report) -> Capture:
-    """Raw photos: what `mitsvbrdf capture` makes of them; of fewer than three, the first alone.
+    """The capture that `mitsvbrdf capture` makes of raw photos; of fewer than three, of the first alone.
 
     Photos that show everything in the same place are taken for rectified.
     """
@@ -194,7 +194,7 @@ def _single(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution:
 
 
 def _rectified(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None) -> Capture:
-    """The middle squares of photos from one place, of whose views nothing is known."""
+    """The middle squares of photos from one place; nothing is known of their views."""
     size = Counter(photo.size for photo in photos).most_common(1)[0][0]
     kept = [photo for photo in photos if photo.size == size]
     others = [f"{photo.name} is rejected: it has another size" for photo in photos if photo.size != size]
@@ -230,7 +230,7 @@ def _angle(photo: Photo) -> float:
 def _square(photo: Photo, found: Picture, resolution: int | None) -> np.ndarray:
     """The middle square of a photo as shown, S x S x 3 display values, S <= :data:`MOST_SQUARE`, shrunk.
 
-    Where its alpha masks it, it is NaN.
+    It is NaN where the photo's alpha masks it.
     """
     pixels = upright(found.pixels, photo.orientation)
     (height, width), side = pixels.shape[:2], min(pixels.shape[:2])

@@ -21,7 +21,7 @@ CORNERS = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5,
 
 @dataclass(frozen=True)
 class Rectified:
-    """Photos as they came, display values by name."""
+    """Photos, rectified but otherwise as they came: display values by name."""
 
     # the patch alone, R x R x 3 float32 in [0, 1], with vignetting; NaN beyond the photo or behind its mask
     pictures: dict[str, np.ndarray]
@@ -33,7 +33,7 @@ class Rectified:
     @classmethod
     def of(cls, rig: Rig, photos: Sequence[Photo], resolution: int,
            report: Callable[[str, float], object]) -> Rectified:
-        """The photos of ``rig``, in ``resolution`` pixels a side, or in as many as they show."""
+        """The photos of ``rig``, in ``resolution`` pixels a side, or in as many as they show if fewer."""
         photos = [photo for photo in photos if photo.name in rig.poses]
         at = np.stack([project(rig.lens, pose, CORNERS * rig.size) for pose in rig.poses.values()])
         sides = np.nan_to_num(np.linalg.norm(np.roll(at, -1, axis=1) - at, axis=2))
@@ -57,9 +57,9 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
               opaque: np.ndarray | None = None) -> np.ndarray:
     """A photo as seen from straight above: the patch in R x R pixels, row 0 at the top, undistorted.
 
-    Each pixel is the average over its area, from as many samples as the photo has pixels there, or more: R x
+    Each pixel is the average over its area, from at least as many samples as the photo has pixels there: R x
     R x 3 float32 in [0, 1], NaN where the photo does not reach, or is not ``opaque`` (H x W). The photo is H
-    x W x 3 as stored, 8 or 16 bits or float32, in the size of ``lens`` or that divided by a whole number.
+    x W x 3 as stored (8 or 16 bits, or float32), of the size of ``lens``, or that divided by a whole number.
     """
     import cv2
 
@@ -72,7 +72,7 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
     # Positions of texels as in views.texel_positions, but a band of rows at a time.
     steps = ((np.arange(resolution * times) + 0.5) / (resolution * times) - 0.5) * size
     out = np.empty((resolution, resolution, 3), dtype=np.float32)
-    rows = max(1, 2**21 // (resolution * times * times))  # of the result at once: memory stays small
+    rows = max(1, 2**21 // (resolution * times * times))  # rows of the result at once: memory stays small
     for first in range(0, resolution, rows):
         y = -steps[first * times : (first + rows) * times, None]
         part = np.stack(np.broadcast_arrays(steps, y, 0.0), axis=-1)
@@ -93,9 +93,9 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
 
 
 def filled(pictures: Sequence[np.ndarray], warn: bool = True) -> tuple[torch.Tensor, torch.Tensor | None]:
-    """Photos (R x R x 3), with the mean of the others where one is NaN, else the nearest: N x R x R x 3.
+    """Photos, N x R x R x 3. The mean of the others, else the nearest pixel, replaces NaN.
 
-    With it comes where they are measured, N x R x R; None: everywhere.
+    The second tensor says where photos are measured, N x R x R; None: everywhere.
     """
     stack = np.stack(pictures)
     known = np.isfinite(stack)

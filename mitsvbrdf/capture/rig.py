@@ -11,7 +11,7 @@ from ..errors import CaptureError
 from .lens import Lens, Pose
 
 LEAST_PHOTOS = 3  # from which views can be found
-# Spread of the cameras over their height, below which all photos are from one place. Nine places as in
+# Spread of the cameras as a share of their height: below, all photos are from one place. Nine places as in
 # docs/capture.md: 0.2; seven real captures that were rectified already: 0.003 to 0.009.
 ONE_PLACE = 0.03
 
@@ -29,7 +29,7 @@ class Rig:
     size: float  # side of the patch, in unit
     # of all lengths: cm where a sheet of known size was seen, else patch sides (size is 1)
     unit: Literal["cm", "patch sides"]
-    # of the poses; none: photos rectified to their sheet, of which only the patch is known
+    # source of the poses; none: photos rectified to their sheet, of which only the patch is known
     source: Literal["sheet", "photos", "none"]
     # RMS reprojection error in pixels of the photo, by name
     errors: dict[str, float] = field(default_factory=dict)
@@ -37,7 +37,7 @@ class Rig:
     # standard deviation of a camera's position in unit, by name, where it is known
     deviations: dict[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()  # what the user should know about it
-    # of the sheet's 16, how many each photo shows, by name; not in the JSON
+    # how many of the sheet's 16 tags each photo shows, by name; not in the JSON
     tags: dict[str, int] = field(default_factory=dict)
 
 
@@ -68,7 +68,7 @@ def check_places(rig: Rig) -> None:
 
 
 def one_place(count: int) -> OnePlace:
-    """What to raise for so many photos."""
+    """The error to raise for ``count`` photos that are from one place."""
     return OnePlace("photos from different places",
                     f"{count} photos that show everything in the same place: from a tripod, or rectified "
                     "already",

@@ -1,4 +1,4 @@
-"""How many pixels of photos carry detail: sampling tells the most, and sharpness how many of them."""
+"""How many pixels of photos carry detail: all that were sampled, or fewer where the photos are soft."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -8,16 +8,16 @@ import numpy as np
 from ..color import QUANTIZATION_NOISE
 from ..io.images import display
 
-MIDDLE = 512  # pixels a side of the middle of each photo, which tells
-MOST_PHOTOS = 4  # that are looked at
-# An octave of detail counts where its contrast is half of that of the octave below (MTF50) and above the
-# rounding to 8 bits, and where other photos show it half as surely.
+MIDDLE = 512  # pixels a side of the middle of each photo, where detail is measured
+MOST_PHOTOS = 4  # at most so many photos are looked at
+# An octave of detail counts if its contrast exceeds half of that of the next coarser one (MTF50) and the
+# rounding to 8 bits, and if photos agree on it more than half as well as on the coarser one.
 CONTRAST, SURELY = 0.5, 0.5
-BEYOND_CHANCE = 3  # deviations of the correlation that noise has
+BEYOND_CHANCE = 3  # standard deviations of the correlation of noise
 FEWEST = 8  # pixels a side of the middle in the coarsest octave
 
 
-CLEARLY = 2  # times the pixels a side of what they are shrunk to: of fewer nothing is asked
+CLEARLY = 2  # detail is measured only where photos are shrunk by this factor or more
 
 
 def middle(pixels: np.ndarray) -> np.ndarray:
@@ -28,13 +28,13 @@ def middle(pixels: np.ndarray) -> np.ndarray:
 
 
 def carried(middles: Sequence[np.ndarray], side: int, least: int) -> int:
-    """Pixels a side that photos carry detail of: ``side``, or that halved as often as they are too soft.
+    """Pixels a side that carry detail: ``side``, halved once for each of the finest octaves without detail.
 
-    Noise is in no two photos the same, and what was enlarged has little contrast in its finest octave. So
-    bands of an octave each are compared: with the next coarser band, and between photos.
+    Noise differs between photos, and an enlarged photo has little contrast in its finest octave. So a band of
+    each octave is compared: with the band of the next coarser octave, and between photos.
 
-    Of ``middles`` of two or more aligned photos (:func:`middle`), ``side`` pixels a side as a whole, the
-    largest of ``side``, ``side`` / 2, ... whose octave counts; ``least`` at least.
+    ``middles`` (:func:`middle`) are those of two or more aligned photos of ``side`` pixels a side. The result
+    is the largest of ``side``, ``side`` / 2, ... whose octave counts, and ``least`` at least.
     """
     if len(middles) < 2:
         return least
@@ -45,12 +45,12 @@ def carried(middles: Sequence[np.ndarray], side: int, least: int) -> int:
     radius, sizes, shared, sure = np.hypot(line[:, None], line), list[int](), list[float](), list[float]()
     while side > least / 2 and 2**(len(sizes) + 1) * FEWEST <= count:
         band = (radius <= 0.5**(len(sizes) + 1)) & (radius > 0.5**(len(sizes) + 1.5))
-        # of relief lit from the other side, minus as much
+        # absolute: relief that is lit from the other side correlates negatively
         both = [abs((one[band] * other[band].conj()).real.sum()) for one, other in combinations(waves, 2)]
         alone = float(np.mean([np.square(np.abs(wave[band])).sum() for wave in waves]))
         sizes, shared = [*sizes, side], [*shared, float(np.mean(both) / np.square(window).mean())]
         alike = float(np.mean(both)) / max(alone, 1e-12)
-        # half of the waves are the others mirrored; chance makes so many alike
+        # correlation by chance; half of the waves mirror the other half, and so do not count
         chance = (2 / band.sum())**0.5
         sure, side = [*sure, alike if alike > BEYOND_CHANCE * chance else 0.0], side // 2
     for k, size in enumerate(sizes[:-1]):

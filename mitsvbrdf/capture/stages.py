@@ -44,8 +44,8 @@ class CaptureResult:
     rig: Rig  # lens and poses of those used; rejected has the reason of each other photo
     # flash, vignetting and exposures; None: they are unknown, and the flash is taken to be at the lens
     shading: Shading | None
-    qualities: dict[str, PhotoQuality]  # how good each photo is that has a pose, by name
-    # smallest angle (rad) between half vector and upright that a photo shows, 64 x 64, row 0 at the top
+    qualities: dict[str, PhotoQuality]  # how good each photo with a pose is, by name
+    # smallest angle (rad) between half vector and flat normal over all photos, 64 x 64, row 0 at the top
     coverage: torch.Tensor
     next_view: NextView | None  # where one more photo would show most; None: nowhere much
     warnings: tuple[str, ...]  # what a user should know
@@ -57,7 +57,7 @@ class CaptureResult:
 
     @property
     def covered(self) -> float:
-        """Share of the patch of which some photo shows a highlight."""
+        """Share of the patch where some photo shows a highlight."""
         return float((self.coverage <= HIGHLIGHT_ANGLE).double().mean())
 
 
@@ -87,7 +87,7 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
     if sheet_cm is not None and not (math.isfinite(sheet_cm) and sheet_cm > 0):
         raise ConfigError("the size of the sheet in cm", str(sheet_cm),
                           "measure the frame of tags from edge to edge")
-    # NaN, too; below 0 where the sheet lies below the material
+    # refuses NaN, too; depth is below 0 where the sheet lies below the material
     if sheet_cm is not None and not abs(depth_cm) < sheet_cm:
         raise ConfigError(f"a sheet less than its size of {sheet_cm:g} cm above the material",
                           f"{depth_cm:g} cm", "measure how far it is, in cm")
@@ -114,8 +114,8 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
         rejected |= rig.rejected | found.rejected
         kept = [photo for photo in kept if photo.name not in rejected]
         check_enough(kept, rejected)
-        # Tags that were seen are where they are. Features of a bad photo may have misled the poses of all:
-        # once more without it.
+        # A bad photo cannot mislead poses from tags. Its features may have misled the poses of all photos:
+        # repeat without it.
         if sheet_cm is not None or not found.misled:
             break
     if found.rejected:
@@ -134,7 +134,7 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
 
 
 def _within(report: Report, start: float, length: float) -> Report:
-    """``report`` for a part of the work, of this length, by the shares of the whole."""
+    """``report`` for a part of the work; ``start`` and ``length`` are shares of the whole."""
     return lambda text, share: report(text, start + length * share)
 
 

@@ -1,7 +1,7 @@
 """Rectified photos that lie turned or mirrored beside the others, as the material's pattern shows.
 
 Each photo's fine pattern is correlated with those of the others as it lies, and in the seven other ways in
-which a square can lie. Squares of correlations count, as relief under opposite light shows its negative.
+which a square can lie. Squares of correlations count, because opposite light shows a relief as its negative.
 """
 
 from itertools import product
@@ -16,12 +16,12 @@ from .capture import Capture
 from .rig import LEAST_PHOTOS
 
 SIDE = 128  # pixels a side that are looked at; in 64, three of 6,384 photos were laid wrong
-FINE = 3.0  # pixels: what is coarser is light
+FINE = 3.0  # pixels: coarser differences come from the light
 DIM = 0.02  # display value
-# Mean squared correlation over that of any other way, and over what chance makes. Of eighteen real captures
-# and twenty known materials no photo was laid wrong.
+# Ratio of the mean squared correlation to that of any other way, and to that by chance. Of eighteen real
+# captures and twenty known materials no photo was laid wrong.
 CLEARLY = 4.0
-SHIFTS = (1 / 2, 1 / 2), (1 / 3, 1 / 4), (1 / 4, 2 / 3)  # of the side: the same pattern by chance
+SHIFTS = (1 / 2, 1 / 2), (1 / 3, 1 / 4), (1 / 4, 2 / 3)  # of the side: so shifted, patterns agree by chance
 WAYS = tuple(product((False, True), range(4)))  # mirrored or not, quarter turns
 
 
@@ -74,7 +74,7 @@ def laid_alike(capture: Capture, larger: Capture | None = None) -> Capture:
 
 
 def _pattern(capture: Capture) -> Tensor:
-    """What is fine in each photo, alike in strength everywhere, N x R x R; 0 where it is not measured."""
+    """The fine pattern of each photo, equally strong everywhere, N x R x R; 0 where it is not measured."""
     small = np.stack([averaged(photo.numpy(), SIDE) for photo in capture.stored])
     grey = np.log(small.mean(axis=-1) + DIM)
     fine = grey - gaussian_filter(grey, (0, FINE, FINE), mode="nearest")
@@ -85,7 +85,7 @@ def _pattern(capture: Capture) -> Tensor:
 
 
 def _squares(pattern: Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """Squared correlations of photo i with photo j laid in each way, N x N x 8, and those of shifted ones."""
+    """Squared correlations of photo i with photo j laid in each way, N x N x 8; and with shifted photos j."""
     pattern = pattern / pattern.flatten(1).norm(dim=1).clamp_min(1e-9)[:, None, None]
     flat, own, chance = pattern.flatten(1), [], []
     for way in range(len(WAYS)):

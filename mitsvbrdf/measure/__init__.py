@@ -2,5 +2,5 @@
 
 ``metrics`` are the pure functions. ``rerender`` and ``gradients`` render what is measured. ``tolerances``
 says how far renderers may be off, ``z_test`` whether noise explains a difference, ``burn_in`` how much of a
-map is where the highlights were.
+map follows the highlights of the photos.
 """

@@ -1,15 +1,15 @@
-"""How much of a map is where the highlights were: burn-in, measured without ground truth.
+"""Burn-in: how much of a map follows the highlights of the photos, measured without ground truth.
 
 The coverage angle of a texel is the smallest angle between the flat normal (0, 0, 1) and its half vectors
 over the photos of a fit. Where it is small a photo showed the texel's highlight. True maps do not follow that
 angle. Maps do follow it where a fit hides highlights in them or falls back to its start. Burn-in is the share
 R^2 of a map's variance that a cubic in the coverage angle explains: 0 for maps that do not follow it
-(3 / (n - 1) on average for n texels of pure noise), 1 for maps that are nothing else. A material whose own
-pattern lies like the highlights has some, too.
+(3 / (n - 1) on average for n texels of pure noise), 1 for maps that depend on nothing else. A material whose
+own pattern resembles that of the highlights has some, too.
 
-The smallest angle blurs the oval that each single highlight leaves, as wide as the lobe, which
-:func:`local_burn_in` looks for. Rolled sideways, a map has other pieces of the material where the highlights
-were: what ovals explain more in place is burnt in.
+Each single highlight leaves an oval as wide as the lobe, which the smallest angle blurs.
+:func:`local_burn_in` looks for ovals. A map rolled sideways has other parts of the material where the
+highlights were; local burn-in is how much more of the unrolled map the ovals explain.
 
 Measured at 128 px on the roughness that MaterialGAN published: `wood-bamboo` 0.67, `cards-blue` and
 `bathroomtile1` 0.01. Fine texture counts as variance, so the share falls a little with the resolution
@@ -31,8 +31,8 @@ LOCAL_SIDE = 64  # texels a side that are looked at for ovals; of larger maps, a
 WIDTHS = 0.5, 1.0, 2.0  # of the bumps, in widths of the lobe
 # offsets that fill the square evenly (Roberts 2018): 20 pieces of the material, and 4 that are too near
 ROLLS = 24
-NEAR = 0.25  # sides in all by which a piece is moved at least
-SAME = 1e-3  # of the largest singular value: bumps that add less are others' sums
+NEAR = 0.25  # least shift of a piece, in sides, both axes added
+SAME = 1e-3  # of the largest singular value: below, a bump is a combination of others
 
 
 def burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
@@ -50,11 +50,11 @@ def burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
 def local_burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
     """How much of ``specular`` and ``roughness`` lies in ovals of single highlights, at most 1.
 
-    For each photo that the fit used three Gaussian bumps in the tangent of the half vector's angle, 0.5, 1
-    and 2 times as wide as a lobe of the map's median roughness. With R^2 the share of a map's variance that
-    all bumps together explain, and R0^2 its mean for the map rolled sideways by 20 offsets: (R^2 - R0^2) / (1
-    - R0^2). Around 0, and as often below, where nothing is burnt in. 64 x 64 area averages are looked at, of
-    a principled material those of its specular map.
+    Each photo that the fit used has three Gaussian bumps in the tangent of the half vector's angle, 0.5, 1
+    and 2 times as wide as a lobe of the map's median roughness. R^2 is the share of a map's variance that
+    all bumps together explain, and R0^2 its mean for the map rolled sideways by 20 offsets. The measure is
+    (R^2 - R0^2) / (1 - R0^2): around 0, and as often below, where nothing is burnt in. It is taken of 64 x 64
+    area averages; of a principled material, those of its specular map.
     """
     looks = _looks(svbrdf.detach().resized(min(LOCAL_SIDE, svbrdf.resolution)))
     maps = torch.stack([each.double() for each in looks.values()])
@@ -64,7 +64,7 @@ def local_burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
 
 
 def oval_patterns(views: Views, side: int, roughness: float) -> Tensor:
-    """Orthonormal sums of the bumps of :func:`local_burn_in`, without mean: P <= 3 N x side^2, float64."""
+    """Orthonormal sums, of mean 0, of the bumps of :func:`local_burn_in`: P x side^2, P <= 3 N, float64."""
     widths = roughness * torch.tensor(WIDTHS, dtype=torch.float64)
     far = torch.tan(half_angles(views, side)).flatten(1)
     bumps = torch.exp(-(far[:, None] / widths[:, None]).square() / 2).flatten(0, 1)
@@ -73,7 +73,7 @@ def oval_patterns(views: Views, side: int, roughness: float) -> Tensor:
 
 
 def oval_shares(maps: Tensor, patterns: Tensor) -> tuple[Tensor, Tensor]:
-    """Share of the variance of maps S x R x R that patterns explain: S as is, K x S rolled."""
+    """Shares of the variance of maps S x R x R that patterns explain: S as they are, and K x S rolled."""
     side, off = maps.shape[-1], maps.double() - maps.double().mean(dim=(1, 2), keepdim=True)
     total, size = off.flatten(1).square().sum(dim=1), maps.double().flatten(1).square().sum(dim=1)
     constant = total <= CONSTANT_BELOW**2 * size
@@ -87,7 +87,7 @@ def oval_shares(maps: Tensor, patterns: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _looks(svbrdf: SVBRDF) -> dict[str, Tensor]:
-    """Specular, as linear^(1/2.2) and the mean of its channels, and roughness: R x R."""
+    """The two maps that are measured, R x R: channel mean of specular as linear^(1/2.2), and roughness."""
     maps = svbrdf.detach().as_roughconductor()
     return {"specular": torch.cat([color.encode(maps["specular"][rows].double()).mean(dim=-1)
                                    for rows in strips(svbrdf.resolution)]),
@@ -95,7 +95,7 @@ def _looks(svbrdf: SVBRDF) -> dict[str, Tensor]:
 
 
 def explained_share(values: Tensor, angle: Tensor) -> float:
-    """R^2 of the least-squares cubic in ``angle`` through ``values`` of its shape; 0 of constants."""
+    """R^2 of the least-squares cubic in ``angle`` through ``values`` (same shape); 0 for constants."""
     y, x = values.flatten(), angle.flatten()
     mean, total, size, left = y.mean(dtype=torch.float64), 0.0, 0.0, 0.0
     for part, trend in zip(y.split(STRIP), cubic(x, y[None])):
@@ -107,7 +107,7 @@ def explained_share(values: Tensor, angle: Tensor) -> float:
 
 
 def cubic(x: Tensor, values: Tensor) -> Iterator[Tensor]:
-    """Least-squares cubics in x (M) through values (S x M), at x: S x M, float64, in strips of M."""
+    """Least-squares cubics in x (M) through values (S x M), evaluated at x: S x M, float64, in strips."""
     x = x.double()
     middle = x.mean()
     scale = (x - middle).abs().max().clamp_min(1e-9)

@@ -1,7 +1,7 @@
 """An image, the gradients of every map, and the seconds of both: what comparisons measure.
 
-The gradients are those of the product of the image with fixed random numbers, so that every renderer is asked
-the same question; :mod:`mitsvbrdf.measure.metrics` says how far two answers are apart.
+The gradients are those of the inner product of the image and fixed random numbers, so that every renderer is
+asked the same question; :mod:`mitsvbrdf.measure.metrics` says how far two answers are apart.
 """
 
 from dataclasses import dataclass
@@ -22,7 +22,7 @@ class Measured:
     """One forward and one backward pass."""
 
     image: Tensor  # linear radiance N x R x R x 3
-    # of the product of image and cotangent, by map name, each of the map's shape
+    # of the inner product of image and cotangent, by map name, each of the map's shape
     gradients: dict[str, Tensor]
     forward: float  # seconds of the forward pass
     backward: float  # seconds of the backward pass
@@ -36,7 +36,7 @@ def fixed_cotangent(shape: torch.Size, seed: int = 1) -> Tensor:
 @entry(gradients=True)
 def render_and_gradients(renderer: Renderer, svbrdf: SVBRDF, views: Views, cotangent: Tensor | None = None,
                          ) -> Measured:
-    """Render, and differentiate the product of the image with ``cotangent`` (N x R x R x 3) by every map.
+    """Render, and differentiate the inner product of image and ``cotangent`` (N x R x R x 3) by every map.
 
     Default: :func:`fixed_cotangent`. ``analytic64`` gets the maps in float64, so its gradients are float64
     too. ConfigError: no gradient.
@@ -49,7 +49,7 @@ def render_and_gradients(renderer: Renderer, svbrdf: SVBRDF, views: Views, cotan
                           "make the renderer differentiable, or compare the images alone (gradients=math.inf "
                           "in assert_renderers_agree)")
     cotangent = (fixed_cotangent(image.shape) if cotangent is None else cotangent).to(image)
-    # of a sum: for a tensor beside an image, torch imports sympy, for a second
+    # a sum: given the cotangent of an image, autograd.grad would import sympy, which takes a second
     product = (image * cotangent).sum()
     gradients, backward = timed(torch.autograd.grad, product, list(leaves.maps.values()))
     return Measured(image.detach(), dict(zip(leaves.maps, gradients)), forward, backward)

@@ -12,21 +12,21 @@ from ..material.encoding import ENCODINGS
 from ..material.maps import SVBRDF
 from ..views import strips
 
-# Pixels darker than this share of the reference's mean are compared against the share instead of their own
-# value.
+# Errors are relative to the pixel's own value. Where that is below this share of the reference's mean, they
+# are relative to that share.
 FLOOR = 1e-3
 
 
 def map_rmse(svbrdf: SVBRDF, reference: SVBRDF, encoding: str = "linear") -> dict[str, float]:
-    """RMSE of the maps as the field prints it: over all texels and channels of maps encoded to [0, 1].
+    """RMSE of the maps as the field reports it: over all texels and channels of maps encoded to [0, 1].
 
     Diffuse and specular are compared as linear^(1/2.2) and normals as (n + 1) / 2; roughness as r, or as
     r^(1/2.2) where the reference is stored with gamma. Principled materials are compared by their diffuse and
     specular maps. Where the resolutions differ, the larger is area-averaged to the smaller first
     (:meth:`SVBRDF.resized`).
 
-    Normals are compared as they are. Published numbers count the vectors in the files, off unit length by
-    their 8 bits or JPEG: the unit normals of ``load_maps`` give up to 0.001 less.
+    Normals are compared as they are. Published numbers take the vectors as in the files, which are not of
+    unit length because of 8 bits or JPEG: the unit normals of ``load_maps`` give up to 0.001 less.
 
     Args:
         reference: the truth.
@@ -92,7 +92,7 @@ def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "g
 
 
 def of_all(each: Sequence[float]) -> float:
-    """The RMSE of all photos, of those of each."""
+    """The RMSE over all photos, from the RMSE of each photo."""
     return math.sqrt(sum(error**2 for error in each) / len(each))
 
 
@@ -110,7 +110,7 @@ def relative_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> Te
 
 
 def error_statistics(signed: Tensor) -> dict[str, float]:
-    """Of signed errors: ``mean`` size, ``p99.9`` and ``worst`` size, ``bias`` (the signed mean)."""
+    """Statistics of signed errors: ``mean``, ``p99.9`` and ``worst`` size, and ``bias`` (the signed mean)."""
     size = signed.abs().flatten()
     rank = math.ceil(0.999 * size.numel())
     return {"mean": float(size.mean()), "p99.9": float(size.kthvalue(rank).values),

@@ -54,6 +54,6 @@ def rerender_errors(renderer: Renderer, svbrdf: SVBRDF, views: Views,
 
 
 def batches(count: int, resolution: int) -> list[range]:
-    """Views that are rendered together, of so many: large images one by one."""
+    """Ranges of ``count`` views, each rendered together: large images one by one."""
     most = max(1, PIXELS // resolution**2)
     return [range(first, min(first + most, count)) for first in range(0, count, most)]

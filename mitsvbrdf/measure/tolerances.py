@@ -5,8 +5,8 @@ Three checks hold renderers against float64, and each asks another question:
 - :data:`LIMITS`: a test that renders one material (:mod:`mitsvbrdf.testing`), by renderer.
 - :data:`TOLERANCES`: the cross-check, over texels of roughness :data:`ROUGH_FROM` and more of any material,
   for all renderers.
-- :data:`SWEEP_TOLERANCES`: the sweeps to extremes, where a figure that keeps within is called exact; beyond
-  it conditioning has to explain the error.
+- :data:`SWEEP_TOLERANCES`: the sweeps to extremes. An error within the tolerance counts as exact;
+  conditioning has to explain a larger one.
 
 :data:`UNIT_ROUNDOFF` is what float32 itself is off by.
 """
@@ -22,7 +22,7 @@ class Limits:
 
     Args:
         image_mean: mean relative error of the image (:func:`mitsvbrdf.measure.metrics.image_error`).
-        image_p999: what 99.9 % of its values keep within.
+        image_p999: relative error that 99.9 % of the image's values do not exceed.
         gradients: relative L2 error of the gradient of each map; infinite: no gradient is asked for.
     """
 
@@ -40,12 +40,12 @@ LIMITS: dict[str, Limits] = {
     "mitsuba-scene": Limits(3.5e-7, 2.2e-6, 5e-6),
 }
 
-ROUGH_FROM = 0.1  # below, highlights are so narrow that float32's own limit lies above any one number
+ROUGH_FROM = 0.1  # below, highlights are so narrow that no one number bounds float32's own error
 # The largest errors allowed over texels of at least that roughness, all views together; gradients for each
 # map.
 TOLERANCES = {"image": {"mean": 5e-7, "p99.9": 5e-6}, "gradients": {"relative_l2": 2e-6, "1 - cosine": 1e-9}}
 
 # Relative L2 errors that count as float32's own. Measured where nothing is extreme: images up to 6e-7,
-# gradients up to 1e-6; near the horizon 6e-6. ``float64`` is what float64 has to keep within itself, against
-# fifty digits, to be the truth that the others are held against.
+# gradients up to 1e-6; near the horizon 6e-6. ``float64`` is the limit for float64 itself, against fifty
+# digits, so that it can be the truth for the others.
 SWEEP_TOLERANCES = {"image": 1e-6, "gradient": 1e-5, "float64": 1e-6}

@@ -19,9 +19,9 @@ from torch import Tensor
 
 from ..errors import ConfigError, MapsError
 
-# of 64 x 64 pixels, a value is outside from 18 deviations on; with six passes from 34, which misses much
+# at 64 x 64 pixels, values are outside beyond 18 deviations; with six passes beyond 34, which misses much
 FEWEST_PASSES = 8
-SUM_ROUNDING = 1e-5  # float32 sums are off by as much, relative: no standard deviation counts as less
+SUM_ROUNDING = 1e-5  # relative error of float32 sums: no standard deviation counts as less
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class ZTest:
         z: (image - reference) over its standard deviation, H x W x C, float64.
         z_limit: a value beyond is outside.
         outside: share of the values outside.
-        outliers: share that may be.
+        outliers: share of the values that may be outside.
         bias: the score of each channel's mean, C.
-        bias_limit: the largest that passes.
+        bias_limit: the largest score that passes.
     """
 
     z: Tensor = field(repr=False)
@@ -46,7 +46,7 @@ class ZTest:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing speaks against both showing the same."""
+        """Whether no test finds a difference to the reference."""
         return self.outside <= self.outliers and bool((self.bias.abs() <= self.bias_limit).all())
 
 

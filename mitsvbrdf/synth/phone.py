@@ -21,7 +21,7 @@ from ..views import nine_view_grid
 Spoil = Literal["blurred", "finger", "noflash", "duplicate", "rotated", "unrelated"]
 
 WITHOUT_SHEET = 24.0  # cm, the sample's side
-SEEN = 0.48  # of the sample, the patch that poses are meant for where no sheet says; 11.5 cm
+SEEN = 0.48  # share of the sample's side that photos without a sheet are meant to show: 11.5 cm
 DIAGONAL_35MM = math.hypot(36, 24)
 
 
@@ -103,7 +103,7 @@ class Shot:
 
 
 def shots(phone: HandheldPhone, spoil: Sequence[Spoil] = ()) -> list[Shot]:
-    """The photos to take: good ones first, then one for each way to spoil one; file names tell nothing."""
+    """The photos to take: good ones first, then one for each kind of ``spoil``; names do not tell."""
     unknown = [kind for kind in spoil if kind not in get_args(Spoil)]
     if unknown or len(set(spoil)) < len(spoil):
         raise ConfigError(f"kinds of {get_args(Spoil)}, each once", ", ".join(unknown or spoil),
@@ -123,7 +123,7 @@ def shots(phone: HandheldPhone, spoil: Sequence[Spoil] = ()) -> list[Shot]:
 
 
 def handheld_poses(phone: HandheldPhone, count: int) -> list[Pose]:
-    """A hand-held pose: near the nine-view grid, aimed roughly at the middle, turned a little.
+    """Hand-held poses: near the nine-view grid, aimed roughly at the middle, turned a little.
 
     The patch, and all of the sheet where there is one, is within each photo; the phone is held higher where
     it would not be.

@@ -42,7 +42,7 @@ def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...
     """Photos of a material, each taken when it is asked for, and the truth about them.
 
     The maps cover the whole sample. ``renderer`` makes a :class:`mitsvbrdf.synth.traced.HandheldRenderer`.
-    Photos are H x W x 3 display values (sRGB, 8 bits), odd in the ways of ``spoil`` at the end. The truth is
+    Photos are H x W x 3 display values (sRGB, 8 bits), the last ones spoiled as in ``spoil``. The truth is
     what ``truth.json`` says: ``rig`` (see :func:`mitsvbrdf.capture.rig.rig_to_json`, of all photos, in cm),
     ``intensity`` of the flash (a white diffuse texel has the radiance I cos / (pi d^2), d in cm, where
     radiance 1 is display value 1), ``falloff``, ``transfer``, ``sample_cm``, ``sheet_cm``, ``depth_cm``,
@@ -72,20 +72,20 @@ def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...
 
 
 def _metered(scene: Any, phone: HandheldPhone, pose: Pose) -> float:
-    """Intensity of the flash that exposes the first photo right, or clips fewer of its values."""
+    """Intensity of the flash that exposes the first photo well; lower if too many values would clip."""
     lens = replace(phone, megapixels=FROM_METER).lens
     radiance = scene.render(lens, pose, intensity=1.0) * _transmission(lens, 0, lens.size[1])
     return float(min(BRIGHTNESS / radiance.mean(), 1 / np.quantile(radiance, 1 - MOST_CLIPPED)))
 
 
 def _transmission(lens: Lens, first: int, count: int) -> NDArray[np.float32]:
-    """Of ``count`` rows of pixels, count x W x 1."""
+    """Transmission of the lens at ``count`` rows of pixels, count x W x 1."""
     columns, rows = np.meshgrid(np.arange(lens.size[0]), np.arange(first, first + count))
     return lens.transmission(np.stack((columns, rows), axis=-1)).astype(np.float32)[..., None]
 
 
 def spoiled(radiance: NDArray[np.float32], kind: Spoil | None) -> NDArray[np.float32]:
-    """The light that a shaken camera, or one with a finger on its lens, would get; others as they are."""
+    """The radiance in a shaken camera, or in one with a finger on its lens; unchanged for other kinds."""
     import cv2
 
     height, width = radiance.shape[:2]

@@ -86,8 +86,7 @@ class HandheldRenderer:
             rgb = {"type": "rgb", "value": 1.0}
             light = ({"ambient": {"type": "constant", "radiance": rgb}} if ambient else
                      {"flash": {"type": "point", "position": [0.0, 0.0, 1.0], "intensity": rgb}})
-            # Surroundings that are everywhere the same are found without noise by the rays that a diffuse
-            # texel sends out.
+            # Rays that a diffuse texel sends out sample constant surroundings without noise.
             integrator = ({"type": "direct", "emitter_samples": 0, "bsdf_samples": 1} if ambient else
                           {"type": INTEGRATOR, "shadow_rays": True, "bounces": 0, "environment": False})
             scene = mi.load_dict({
@@ -153,7 +152,7 @@ def _register(variant: str) -> None:
     import mitsuba as mi
 
     class LensCamera(mi.Sensor):
-        """A lens at a pose: film positions of a block of rows to the rays of ``Lens.rays``."""
+        """A lens at a pose: it maps film positions of a block of rows to the rays of ``lens.rays``."""
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)

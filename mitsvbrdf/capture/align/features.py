@@ -1,6 +1,6 @@
-"""What photos of a flat material share: SIFT features, and homographies that most agree with.
+"""What photos of a flat material share: SIFT features, and homographies that most of these agree with.
 
-A chain of these leads to a common frame.
+Chains of homographies lead to a common frame.
 
 Source: SIFT by Lowe 1999, 2004; RootSIFT by Arandjelovic and Zisserman 2012; MAGSAC++ by Barath et al. 2020.
 """
@@ -22,12 +22,12 @@ from .planar import Match
 
 FEATURE_SIDE = 2048  # photos are searched for features at no more than this many pixels a side
 MOST_FEATURES = 8000
-FEW_FEATURES = 3000  # the strongest, which are compared first: time grows with the square
+FEW_FEATURES = 3000  # the strongest, compared first: time grows with the square of their number
 # weakest feature; with OpenCV's 0.04, flash photos of wood were warped 50 pixels wrong or rejected
 CONTRAST = 0.01
 RATIO = 0.8  # a match counts when its distance is below this share of the second best's (Lowe 2004)
-REPROJECTION = 3.0  # pixels off at which a match is an outlier, at the size at which features were searched
-OTHER_PLACE = 12.0  # pixels from where on a feature of the same photo is another
+REPROJECTION = 3.0  # error from which a match is an outlier, in pixels of the feature search
+OTHER_PLACE = 12.0  # distance in pixels from which a feature of the same photo counts as another
 LEAST_INLIERS = 15  # any four matches agree with a homography; chance agreements were seen to reach 10
 
 
@@ -37,7 +37,7 @@ class Features:
 
     points: Array  # K x 2, pixels of the photo
     descriptors: NDArray[np.float32]  # K x 128 float32 of length 1 (RootSIFT)
-    pixel: float  # how many of the photo's pixels a pixel was at which they were searched
+    pixel: float  # side of a pixel of the feature search, in pixels of the photo
 
     def __len__(self) -> int:
         return len(self.points)
@@ -48,22 +48,22 @@ def find_features(photo: Photo, mirror: bool = False) -> Features:
     pixels = photo.pixels(FEATURE_SIDE)
     grey = pixels.astype(np.float32).mean(axis=2) * (255 / np.iinfo(pixels.dtype).max)
     image = np.rint(grey[:, ::-1] if mirror else grey).astype(np.uint8)
-    # else off by 0.25 pixels
+    # without precise upscaling, points are off by 0.25 pixels
     sift = cv2.SIFT_create(MOST_FEATURES, contrastThreshold=CONTRAST, enable_precise_upscale=True)
     found, descriptors = sift.detectAndCompute(image, None)
     if not found:
         return Features(np.zeros((0, 2)), np.zeros((0, 128), np.float32), 1.0)
     order = np.argsort([-p.response for p in found], kind="stable")
     times = max(1, round(photo.size[0] / image.shape[1]))
-    # Pixel centres are whole numbers, so that a shrunk photo is shifted by half a pixel's difference.
+    # Pixel centres are whole numbers, so shrinking shifts points by half the difference of pixel sizes.
     points = (np.array([p.pt for p in found], dtype=np.float64) + 0.5) * times - 0.5
     root = np.sqrt(descriptors / np.maximum(descriptors.sum(axis=1, keepdims=True), 1e-9))
     return Features(points[order], root[order].astype(np.float32), float(times))
 
 
 def match(a: Features, b: Features, most: int = MOST_FEATURES) -> NDArray[np.intp]:
-    """Pairs (M x 2: index in a, in b) that are each other's nearest, clearly nearer than the second best, of
-    so many of the strongest features of each.
+    """Pairs (M x 2: index in a, in b) of features that are each other's nearest, clearly nearer than the
+    second best, among the ``most`` strongest features of each photo.
     """
     if min(len(a), len(b)) < 2:
         return np.zeros((0, 2), dtype=np.intp)
@@ -82,7 +82,7 @@ def match(a: Features, b: Features, most: int = MOST_FEATURES) -> NDArray[np.int
 def repeats(features: Features) -> float:
     """The share of a photo's pairs of nearest features that agree with one homography.
 
-    Exact repeats of a pattern have 0.26 to 0.33; tiles, inlays and bricks that vary at most 0.05.
+    Patterns that repeat exactly have 0.26 to 0.33; tiles, inlays and bricks that vary have at most 0.05.
     """
     if len(features) <= LEAST_INLIERS:
         return 0.0
@@ -90,14 +90,14 @@ def repeats(features: Features) -> float:
     at = torch.from_numpy(points)
     likeness = (ours @ ours.T).masked_fill_(torch.cdist(at, at) < OTHER_PLACE * features.pixel, -1.0)
     nearest = likeness.argmax(dim=1).numpy()
-    # rightward only
+    # each pair once, from left to right
     one = np.flatnonzero((nearest[nearest] == np.arange(len(nearest))) & (points[:, 0] < points[nearest, 0]))
     agree = homography(points[one], points[nearest[one]], features.pixel)[1]
     return float(agree.sum()) / max(1, len(one))
 
 
 def homography(source: Array, aim: Array, pixel: float) -> tuple[Array | None, NDArray[np.bool_]]:
-    """The 3 x 3 map from pixels (K x 2) to pixels that most agree with, and which do; None: too few do.
+    """The homography (3 x 3) that most pairs of pixels (K x 2) agree with, and which do; None: too few do.
 
     The threshold is in units of ``pixel`` pixels.
     """
@@ -132,7 +132,7 @@ def wild(warp: Array, size: tuple[int, int]) -> bool:
 
 
 def spread(points: Array, size: tuple[int, int], most: int) -> NDArray[np.intp]:
-    """Indices of at most so many of the points (K x 2), taken in turns from 8 x 8 parts of the photo."""
+    """Indices of at most ``most`` of the points (K x 2), taken in turn from 8 x 8 parts of the photo."""
     cell = np.clip(points * 8 // np.asarray(size), 0, 7).astype(int) @ (1, 8)
     turn = np.zeros(len(points), dtype=int)
     for value in np.unique(cell):
@@ -141,8 +141,8 @@ def spread(points: Array, size: tuple[int, int], most: int) -> NDArray[np.intp]:
     return np.argsort(turn, kind="stable")[:most]
 
 
-MOST_AGAIN = 8  # others that a photo left alone is compared with by all features
-SIGMA = 0.5  # of a match, in pixels at which features were searched
+MOST_AGAIN = 8  # photos that an unconnected photo is compared with again, by all features
+SIGMA = 0.5  # standard deviation of a match, in pixels of the feature search
 
 
 @dataclass(frozen=True)
@@ -152,7 +152,7 @@ class Pair:
     matches: Match  # features that are alike, right or wrong
     agree: NDArray[np.bool_]  # which of them agree with warp, K
     warp: Array | None  # homography from pixels of a to pixels of b; None where there is none to be trusted
-    wild: bool = False  # whether there is one that no camera could have made
+    wild: bool = False  # whether there is a homography that no camera could have made
 
     @property
     def a(self) -> str:
@@ -172,9 +172,9 @@ class Pair:
 
 def find_pairs(features: dict[str, Features], size: tuple[int, int],
                report: Callable[[float], object]) -> list[Pair]:
-    """Each pair of photos by their strongest features; by all of them where photos are left alone so."""
+    """Each pair of photos, by the strongest features; by all features for photos that stay unconnected."""
     both = list(combinations(features, 2))
-    # the time of 100 pairs is the limit
+    # so that it takes at most the time of 100 pairs
     few = int(np.clip(FEW_FEATURES * math.sqrt(100 / len(both)), 500, FEW_FEATURES))
     found = {}
     for n, (a, b) in enumerate(both):
@@ -200,7 +200,7 @@ def _pair(features: dict[str, Features], a: str, b: str, size: tuple[int, int], 
 
 
 def chained_pairs(names: Collection[str], pairs: list[Pair]) -> tuple[str, dict[str, Array]]:
-    """Homographies from the photo that has most in common with others, the hub, to each within reach.
+    """The hub, which has most in common with other photos, and homographies from it to all connected ones.
 
     The maximum spanning tree over the number of agreeing matches (Prim 1957), in the largest group of
     connected photos.

@@ -1,12 +1,12 @@
-"""Raw photos of a flat material to lens and poses, from the features that they share.
+"""Lens and poses of raw photos of a flat material, from the features that the photos share.
 
-Features agree with one homography between each pair of photos that overlap; a tree of the best of them
+Features agree with one homography between each pair of photos that overlap; a tree of the best ones
 places every photo, and bundle adjustment finds lens and poses (:mod:`.planar`). Photos that cannot be used
 are named with the reason.
 
 Two further steps do harm, because the flash changes the look of a relief. Alignment of the rectified photos
-by enhanced correlation takes fake-022 from 0.11 to 1.09 pixels at 512 (brick-uneven-stones from 0.30 to
-0.27). Matching features again near their expected places takes metal-plating from 0.66 to 0.82.
+by enhanced correlation changes the error of fake-022 from 0.11 to 1.09 pixels at 512 (brick-uneven-stones
+from 0.30 to 0.27). Matching features again near expected places changes metal-plating from 0.66 to 0.82.
 
 Source: the paper, III.C, for aligned photos. Each step names its own source.
 """
@@ -42,13 +42,13 @@ from .planar import Match, adjust, starts
 
 # deviation of a focal length from EXIF, which rounds its 35 mm equivalent to whole millimetres
 FOCAL_SHARE = 0.02
-FOCAL_SHARE_ASSUMED = 0.15  # and of the one of FIELD_OF_VIEW
+FOCAL_SHARE_ASSUMED = 0.15  # and of the focal length by FIELD_OF_VIEW
 REPEATING = 0.15  # share of a photo's features from which on its pattern counts as repeating itself
 # deviation of the focal length found, as a share, that is worth a note: hardly better than EXIF's own
 UNSURE = 0.018
 MOST_MATCHES = 4000  # in a bundle adjustment
-CHAINED = 10 * REPROJECTION  # off the tree of homographies, from which on a pair is not begun with
-AGREEING = 0.4  # of a photo's matches with others: so many must agree with its pose
+CHAINED = 10 * REPROJECTION  # error under the tree of homographies beyond which a pair is left out at first
+AGREEING = 0.4  # share of a photo's matches with others that must agree with its pose
 NEEDED = ("that show the same part of a flat material",
           "take nine from somewhat different places, sharp, with much overlap; where a material has no marks "
           "to go by, lay a printed sheet around it (`mitsvbrdf sheet`)")
@@ -59,7 +59,7 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
     """Lens and poses of overlapping photos of a flat material.
 
     World: the material in z = 0; the patch, of side 1, is the largest square that all photos show, upright as
-    the reference photo is shown. Lengths are as good as the focal length, which EXIF gives within some 2 %.
+    the reference photo is shown. Lengths are as exact as the focal length, which EXIF gives to some 2 %.
 
     Args:
         photos: three or more, of one size.
@@ -137,7 +137,7 @@ def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pa
     """
     focal = lens.focal
     agreed = [p.matches.pick(p.agree) for p in pairs if p.warp is not None]
-    # of photos that lie to each other as the tree of homographies has them, but for a bent lens
+    # only pairs that agree with the tree of homographies, up to the distortion of the lens
     off = [m.at_b - mapped(warps[m.b] @ np.linalg.inv(warps[m.a]), m.at_a) for m in agreed]
     few = _limited([m for m, d in zip(agreed, off) if np.median(np.linalg.norm(d, axis=1))
                     < CHAINED * m.sigma / SIGMA], lens.size, MOST_MATCHES // 3)
@@ -167,7 +167,7 @@ def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pa
 
 
 def _agreeing(name: str, pairs: list[Pair], matches: list[Match]) -> float:
-    """The matches of a photo that agree with the poses, over those that agree with homographies."""
+    """Ratio of a photo's matches that agree with the poses to those that agree with homographies."""
     own = [(p.count, len(m.at_a)) for p, m in zip(pairs, matches) if name in (p.a, p.b) and p.count]
     return sum(there for _, there in own) / max(1, sum(count for count, _ in own))
 
@@ -180,7 +180,7 @@ def _limited(matches: list[Match], size: tuple[int, int], most: int = MOST_MATCH
 
 
 def _errors(lens: Lens, poses: dict[str, Pose], matches: list[Match]) -> dict[str, float]:
-    """RMS distance in pixels of each photo to where other photos' features are carried."""
+    """RMS distance in pixels, by photo, of its features to those that other photos project into it."""
     squares: dict[str, list[Array]] = {name: [] for name in poses}
     for m in matches:
         squares[m.b].append(m.errors(lens, poses) ** 2)
@@ -192,7 +192,7 @@ def _placed(lens: Lens, poses: dict[str, Pose], photos: dict[str, Photo],
             reference: str) -> tuple[dict[str, Pose], list[str]]:
     """Poses in the frame of the patch, and the photos that are rejected for it."""
     angles = {name: upright(pose, photos[name].orientation) for name, pose in poses.items()}
-    # taken most nearly straight from above, of those that are held as most are
+    # the photo most nearly from straight above, among those that were held upright like most
     like = {a: sum(math.cos(angles[a] - angles[b]) > 0.7 for b in poses) for a in poses}
     chosen = (min(poses) if reference == "first" else
               min((name for name in poses if like[name] == max(like.values())),
@@ -204,7 +204,7 @@ def _placed(lens: Lens, poses: dict[str, Pose], photos: dict[str, Photo],
         raise CaptureError("photos that all show the same part of a material",
                            f"no part that {len(poses) - len(dropped)} show", "take them with more overlap")
     kept = {name: poses[name] for name in sorted(poses) if name not in dropped}
-    # Highlights lie below the cameras, and of almost equal squares the largest may be well beside.
+    # Highlights lie below the cameras. The largest square may be far off, and others hardly smaller.
     side *= CENTRED
     centre = centred_square([outlines[name] for name in kept], side,
                             np.mean([p.position[:2] for p in kept.values()], axis=0))

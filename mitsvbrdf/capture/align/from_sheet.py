@@ -24,26 +24,26 @@ from .sheet import Sheet
 from .tag_edges import POINTS, Edges, find_edges
 from .tag_search import LEAST_TAGS
 
-# Deviations of the priors: EXIF's focal length is rounded to a millimetre and means the diagonal or the long
-# side; without it a phone is somewhere between its wide and its tele lens. The principal point as a share of
-# the long side.
+# Standard deviations of the priors. EXIF's focal length is rounded to a millimetre, and refers to the
+# diagonal or to the long side. Without EXIF, the lens is anything from wide to tele. CENTRE_SD, of the
+# principal point, is a share of the long side.
 FOCAL_SHARE, FOCAL_SHARE_UNKNOWN, CENTRE_SD, DISTORTION_SD = 0.05, 0.4, 0.005, 0.1
-FOCAL_SHARE_STILL = 1e-4  # of photos from one place, which do not tell it from the distance
-NOISE = 2e-5  # of the long side: what points on edges are off by in good photos, 0.08 pixels of 4000
-# errors of a photo that are too large: as a share of the long side, and beside the others
+FOCAL_SHARE_STILL = 1e-4  # for photos from one place, which cannot tell the focal length from the distance
+NOISE = 2e-5  # error of points on edges in good photos, as a share of the long side: 0.08 pixels of 4000
+# a photo is rejected beyond both errors: a share of the long side, and times the median of all photos
 LARGE, TIMES_MEDIAN = 5e-4, 6.0
-STILL, SLANTED = 0.1, 0.05  # of a tag's side, that tags move; sine of a tilt: rectified is below both
+STILL, SLANTED = 0.1, 0.05  # shift of tags, as a share of their side; sine of tilt. Rectified: below both
 UNSURE = 0.01  # deviation of the focal length, as a share, that is worth a note
 
-LENS = Layout(log_focal=(), centre=(2,), distortion=(2,))  # its unknowns: what is added to the start
+LENS = Layout(log_focal=(), centre=(2,), distortion=(2,))  # unknowns of the lens: what is added to the start
 
 
 def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.0,
                    report: Report = lambda text, share: None) -> Rig:
-    """Lens and poses in cm from photos of the sheet; the patch is its middle 0.64, in z = 0.
+    """Lens and poses in cm from photos of the sheet; the patch is the middle 0.64 of its frame, in z = 0.
 
-    Of photos rectified to the sheet its source is ``none``. One photo at a time is in memory. ``size_cm`` is
-    that of the frame of tags as printed, outer edge to outer edge; it lies ``depth_cm`` above the material.
+    For photos rectified to the sheet, the source is ``none``. One photo at a time is in memory. ``size_cm``
+    is that of the printed frame of tags, outer edge to outer edge; it lies ``depth_cm`` above the material.
 
     Raises:
         CaptureError: fewer than three photos show the sheet.
@@ -61,7 +61,7 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
     stated = [photo.exif["35 mm focal length"] for photo in photos
               if photo.name in seen and "35 mm focal length" in photo.exif]
     still = _still(seen)
-    depth_cm *= not still  # what is rectified shows all in the plane of the sheet
+    depth_cm *= not still  # rectified photos show everything in the plane of the sheet
     size = photos[0].size
     share = FOCAL_SHARE_STILL if still else FOCAL_SHARE if stated else FOCAL_SHARE_UNKNOWN
     start = expected_lens(size, stated), share
@@ -95,7 +95,7 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
 
 def refuse_tags(photos: Sequence[Photo],
                 how: str = "give that, for example `mitsvbrdf capture PHOTOS -o CAPTURE --sheet 18`") -> None:
-    """Refuse photos of a sheet without its size, whose tags would pass for material; ``how`` to give it."""
+    """Refuse photos of a sheet of unknown size: tags would pass for material. ``how``: the way to give it."""
     count = len(find_edges(photos[0], Sheet(), patient=False).corners) if photos else 0
     if count >= LEAST_TAGS:
         raise CaptureError("--sheet CM for photos of a sheet of tags",
@@ -145,7 +145,7 @@ def _bundle(lens: Lens, focal_share: float, sheet: Sheet, depth: float, seen: di
     errors = {name: float(np.sqrt(np.square(left[rows]).mean()) * problem.noise)
               for name, rows in problem.rows.items()}
     jacobian = problem.slopes(x)
-    # Errors along an edge are much alike: two of its points count as known by themselves.
+    # Errors along an edge are correlated: all its points count as two independent ones.
     spread = max(1.0, np.square(left[problem.equations["points"]]).mean()) * POINTS / 2
     jacobian[problem.equations["points"]] /= np.sqrt(spread)
     covariance = np.linalg.inv(jacobian.T @ jacobian)
@@ -161,10 +161,10 @@ def _bundle(lens: Lens, focal_share: float, sheet: Sheet, depth: float, seen: di
 class _Bundle:
     """The least-squares problem of all photos: the prior of the lens, then each photo's points.
 
-    Residuals by ``equations``: ``prior``, five of the lens, and ``points``, one each, those of a photo at
-    ``rows``. Unknowns by ``layout``: ``lens``, by :data:`LENS` over its prior's deviations; ``poses``, of
-    each photo a rotation after that of the start and a shift as a share of the distance
-    (:data:`~.planar.POSE`), their deviations 1.
+    Residuals by ``equations``: ``prior``, five for the lens; ``points``, one for each point, those of a photo
+    at ``rows``. Unknowns by ``layout``: ``lens``, by :data:`LENS`, in standard deviations of the prior;
+    ``poses``, by :data:`~.planar.POSE`: for each photo a rotation that follows that of the start, and a shift
+    as a share of the distance, both unscaled.
     """
 
     def __init__(self, lens: Lens, focal_share: float, sheet: Sheet, depth: float,
@@ -183,7 +183,7 @@ class _Bundle:
         self.rows = {name: slice(*ends[i : i + 2]) for i, name in enumerate(seen)}
 
     def lens_of(self, x: Array) -> Lens:
-        """The lens of unknowns, of which the first are its own."""
+        """The lens that the first of the unknowns describe."""
         moved, middle = LENS.unpack(x[self.layout["lens"]] * self.spread), self.lens.middle
         (u, v), distortion = moved.centre.tolist(), tuple(moved.distortion.tolist())
         return replace(self.lens, focal=self.lens.focal * math.exp(moved.log_focal),
@@ -201,11 +201,11 @@ class _Bundle:
         return np.nan_to_num((off * self.seen[name].across).sum(axis=1) / self.noise, nan=1e6)
 
     def residuals(self, x: Array) -> Array:
-        """In deviations, by ``equations``."""
+        """All residuals, in standard deviations, by ``equations``."""
         return np.concatenate([x[self.layout["lens"]], *(self._of_photo(name, x) for name in self.seen)])
 
     def slopes(self, x: Array) -> Array:
-        """Central differences; a photo depends on the lens and its own pose."""
+        """Derivatives by central differences; residuals of a photo depend on the lens and its own pose."""
         out, numbers = np.zeros((self.equations.size, len(x))), self.layout.numbers
         out[self.equations["prior"], self.layout["lens"]] = np.eye(LENS.size)
         for name, own in zip(self.seen, numbers.poses):

@@ -9,24 +9,24 @@ from ...io.layout import Layout
 from ..lens import Array, Lens, Pose, on_plane
 
 HALF_PLANE = Layout(normal=(2,), offset=())  # n . (x, y) <= offset
-SQUARE = Layout(centre=(2,), half=())  # an upright square by half its side
+SQUARE = Layout(centre=(2,), half=())  # an upright square: its centre, half its side
 
-PHOTO_MARGIN = 0.01  # of a photo's sides: kept off its border
-CENTRED = 0.95  # of the largest square's side: so much of it is kept to have the patch below the cameras
+PHOTO_MARGIN = 0.01  # distance that the patch keeps from a photo's border, as a share of its sides
+CENTRED = 0.95  # of the largest square's side: so much smaller, the patch can lie below the cameras
 GAIN = 1.25  # a photo without which the patch's side would grow by more than this factor is rejected
 
-# Where the top of a photo as shown is in its stored pixels, by EXIF orientation.
+# Direction, in the stored pixels, to the top of a photo as shown, by EXIF orientation.
 TOP = {1: (0, -1), 2: (0, -1), 3: (0, 1), 4: (0, 1), 5: (-1, 0), 6: (-1, 0), 7: (1, 0), 8: (1, 0)}
 
 
 def upright(pose: Pose, orientation: int) -> float:
-    """The angle (rad) to turn the plane about z by, so that its y points up in a photo as shown."""
+    """Angle (rad) by which to turn the plane about z, so that its y axis points up in a photo as shown."""
     x, y, _ = pose.rotation.T @ np.array([*TOP[orientation], 0.0])
     return float(np.arctan2(x, y))
 
 
 def turned(pose: Pose, angle: float) -> Pose:
-    """A pose in the world turned by an angle (rad) about z."""
+    """The pose after the world and its cameras are turned by an angle (rad) about z."""
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
     return Pose(turn @ pose.position, pose.rotation @ turn.T)
@@ -38,7 +38,7 @@ def framed(poses: dict[str, Pose], centre: Array, side: float) -> dict[str, Pose
 
 
 def outline(lens: Lens, pose: Pose) -> Array:
-    """Half planes that a photo shows all of, one for each of its sides: 4 x 3, rows by :data:`HALF_PLANE`."""
+    """Half planes, one a side of a photo, which shows their overlap: 4 x 3, rows by :data:`HALF_PLANE`."""
     size = np.array(lens.size)
     low, high = PHOTO_MARGIN * size - 0.5, (1 - PHOTO_MARGIN) * size - 0.5
     corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
@@ -67,7 +67,7 @@ def largest_square(outlines: Sequence[Array]) -> float:
 
 
 def centred_square(outlines: Sequence[Array], side: float, below: Array) -> Array:
-    """Centre (x, y) nearest to ``below`` of an upright square of this side in all outlines."""
+    """Centre (x, y) of the upright square of this side in all outlines that is nearest to ``below``."""
     # away: |centre - below|
     sides, unknowns = HALF_PLANE.unpack(np.concatenate(outlines)), Layout(centre=(2,), away=(2,))
     left = sides.offset - side / 2 * np.abs(sides.normal).sum(axis=1)
@@ -79,10 +79,10 @@ def centred_square(outlines: Sequence[Array], side: float, below: Array) -> Arra
 
 def choose_patch(outlines: dict[str, Array], least: int = 3,
                  always: str | None = None) -> tuple[float, list[str]]:
-    """The largest square that all photos show, but for those that would cost too much of it.
+    """Side of the largest square that all photos show, and names of photos rejected to make it larger.
 
-    So many photos are kept at least, and ``always``. Its side, and the names of rejected photos; a side of 0
-    or below: too few photos show the same.
+    At least ``least`` photos are kept, and always the photo ``always``. A side of 0 or below: too few photos
+    show the same part.
     """
     kept = dict(outlines)
     out: list[str] = []

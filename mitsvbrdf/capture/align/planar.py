@@ -2,8 +2,8 @@
 
 A pixel of one photo is projected onto the plane, and from there into another photo. The plane's points
 need not be solved for.
-Unknown are the lens (focal length, distortion) and a pose of each photo. The frame is that of one photo, the
-hub: above the origin at height 1, the world's x along its own.
+Unknown are the lens (focal length, distortion) and a pose of each photo. One photo, the hub, sets the frame:
+it is above the origin at height 1, and the world's x axis runs along its own x axis.
 
 Source: Triggs 1998, Autocalibration from Planar Scenes; Zhang 2000; Triggs et al. 2000, bundle adjustment.
 """
@@ -22,16 +22,16 @@ from scipy.spatial.transform import Rotation
 from ...io.layout import Layout
 from ..lens import Array, Lens, Pose, rays
 
-# Deviations of what is expected beforehand. They decide where photos do not: taken nearly parallel, a tilt of
-# all cameras looks like a shift, and a focal length like a height.
+# Standard deviations of the priors. They decide where photos do not: in nearly parallel photos, a tilt of all
+# cameras looks like a shift, and a focal length like a height.
 TILT_SD = 0.17  # of a camera's axis from straight down, rad
 HEIGHT_SD = 0.15  # of a camera's height from the others', as a share
 DISTORTION_SD = (0.03, 0.01)  # k1, k2: phones correct their lens
-SOFT = 1.0  # deviations from which on an error counts in proportion only
-# matches count as one for what is left uncertain: relief, highlights and what the lens lacks err alike nearby
+SOFT = 1.0  # standard deviations from which an error counts linearly
+# so many matches count as one for uncertainties: errors by relief, highlights and lens are alike nearby
 ALIKE = 10
 
-# unknowns of a photo: a rotation vector after the start's; x, y, z
+# unknowns of a photo: a rotation vector that follows the start's rotation; x, y, z
 POSE = Layout(rotation=(3,), position=(3,))
 
 
@@ -46,17 +46,17 @@ class Match:
     sigma: float  # deviation of an error, in pixels
 
     def pick(self, index: Any) -> Match:
-        """Those with these indices."""
+        """The matches with these indices."""
         return replace(self, at_a=self.at_a[index], at_b=self.at_b[index])
 
     def errors(self, lens: Lens, poses: dict[str, Pose]) -> Array:
-        """Distance in pixels of ``b`` to where each pixel of ``a`` is carried, K."""
+        """Distances in pixels of the points in ``b`` from the points in ``a`` projected into ``b``, K."""
         seen = rays(lens, self.at_a)
         return np.linalg.norm(self.at_b - carried(lens, poses[self.a], poses[self.b], seen), axis=1)
 
 
 def carried(lens: Lens, a: Pose, b: Pose, directions: Array) -> Array:
-    """Where in photo b the points of the plane are that rays (K x 3) of photo a meet; or K photos each."""
+    """Pixels in photo b of the points where rays (K x 3) of photo a meet the plane; or K photos each."""
     down = np.einsum("...ji,...j->...i", a.rotation, directions)
     point = a.position - down * (a.position[..., 2:] / down[..., 2:])
     seen = np.einsum("...ij,...j->...i", b.rotation, point - b.position)
@@ -68,9 +68,9 @@ def carried(lens: Lens, a: Pose, b: Pose, directions: Array) -> Array:
 def starts(lens: Lens, homographies: dict[str, Array], hub: str, most: int = 3) -> list[dict[str, Pose]]:
     """Poses that agree with homographies, for the likeliest tilts of the hub; the best first.
 
-    Homographies lead from pixels of the hub to pixels of each photo; that of the hub is 1. For a tilt of the
-    hub each gives the two axes of the plane in the other camera. They must be of one length and at a right
-    angle, which tells tilts apart; there may be two answers, and with parallel photos there are many.
+    Homographies lead from pixels of the hub to pixels of each photo; that of the hub is the identity. For a
+    tilt of the hub, each gives the two axes of the plane in the other camera. Under the right tilt these are
+    of one length and at a right angle. Two tilts may do so, and with parallel photos many do.
     """
     inverse = np.linalg.inv(lens.matrix)
     maps = np.stack([inverse @ h @ lens.matrix for h in homographies.values()])
@@ -78,7 +78,7 @@ def starts(lens: Lens, homographies: dict[str, Array], hub: str, most: int = 3) 
     tilts = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
     above = np.diag((1.0, -1.0, -1.0))  # looks straight down, the world's y up in the photo
     hubs = Rotation.from_rotvec(np.pad(tilts, ((0, 0), (0, 1)))).as_matrix() @ above
-    # of a plane's (x, y, 1), seen from (0, 0, 1)
+    # from (x, y, 1) of the plane to camera axes of a hub at (0, 0, 1)
     frames = np.concatenate((hubs[:, :, :2], -hubs[:, :, 2:]), axis=2)
     axes = maps[:, None] @ frames
     x, y = axes[..., 0], axes[..., 1]
@@ -93,7 +93,7 @@ def starts(lens: Lens, homographies: dict[str, Array], hub: str, most: int = 3) 
 
 
 def _pose(axes: Array) -> Pose:
-    """The pose nearest to a plane's x axis, y axis and origin in camera axes, up to scale (3 x 3)."""
+    """The pose that best fits a plane's x axis, y axis and origin (3 x 3, camera axes), up to scale."""
     scale = np.linalg.norm(axes[:, :2], axis=0).mean() * np.sign(axes[2, 2])
     x, y, origin = (axes / scale).T
     u, _, v = np.linalg.svd(np.stack((x, y, np.cross(x, y)), axis=1))
@@ -104,11 +104,11 @@ def _pose(axes: Array) -> Pose:
 
 def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match], focal: float,
            focal_share: float, steps: int = 50) -> tuple[Lens, dict[str, Pose], float, float]:
-    """Lens and poses at which matches and what is expected beforehand agree best.
+    """Lens and poses that agree best with the matches and the priors.
 
-    The hub is above the origin and stays there, but may tilt. The lens's focal length is but a start:
-    expected are ``focal`` pixels, with ``focal_share`` of it as deviation. Also given are the cost, which
-    tells starts apart, and the focal length's standard deviation as a share.
+    The hub is above the origin and stays there, but may tilt. The focal length of ``lens`` is only a start:
+    its prior is ``focal`` pixels, with the standard deviation ``focal_share`` of that. Also given are the
+    cost, which compares starts, and the focal length's standard deviation as a share.
     """
     problem = _Bundle(lens, poses, hub, matches, focal, focal_share)
     result = least_squares(problem.residuals, problem.start[problem.free], problem.slopes, x_scale="jac",
@@ -124,7 +124,7 @@ def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match
 class _Bundle:
     """The least-squares problem of :func:`adjust`: K matches in two coordinates each, then the priors.
 
-    The unknowns, by ``layout``: ``log_focal``, natural logarithm beside the start's; ``distortion``, k1 and
+    The unknowns, by ``layout``: ``log_focal``, log of the ratio to the start's; ``distortion``, k1 and
     k2; ``poses``, by :data:`POSE`. The hub's position and its turn about its axis are not ``free``.
     """
 
@@ -147,13 +147,13 @@ class _Bundle:
         self.free[self.layout.numbers.poses[names.index(hub)]] = POSE.pack(rotation=(True, True, False)) == 1
 
     def full(self, chosen: Array) -> Array:
-        """All unknowns, those that are not free as at the start."""
+        """All unknowns; those that are not free keep the values of the start."""
         values = self.start.copy()
         values[self.free] = chosen
         return values
 
     def rig(self, values: Array) -> tuple[Lens, Pose]:
-        """The lens, and N poses as one."""
+        """The lens, and the N poses in one :class:`Pose`."""
         u = self.layout.unpack(values)
         own = POSE.unpack(u.poses)
         lens = replace(self.lens, focal=self.lens.focal * math.exp(u.log_focal),
@@ -161,11 +161,11 @@ class _Bundle:
         return lens, Pose(own.position, Rotation.from_rotvec(own.rotation).as_matrix() @ self.rotations)
 
     def _reprojection(self, seen: Array, lens: Lens, a: Pose, b: Pose) -> Array:
-        """Errors of rays (K x 3) of the first photos in the second ones, by N poses, in deviations: K x 2."""
+        """Errors (K x 2, standard deviations) of rays (K x 3) of first photos in second ones, by N poses."""
         return (carried(lens, a.pick(self.first), b.pick(self.second), seen) - self.at_b) / self.sigma
 
     def _beforehand(self, values: Array) -> Array:
-        """Errors of what is expected of lens, heights and tilts, in deviations: 3 + 3 N."""
+        """Residuals of the priors of lens, heights and tilts, in standard deviations: 3 + 3 N."""
         _, poses = self.rig(values)
         height = np.log(np.maximum(poses.position[:, 2], 1e-3))
         u = self.layout.unpack(values)
@@ -175,7 +175,7 @@ class _Bundle:
                                poses.rotation[:, 2, :2].ravel() / math.sin(TILT_SD)))
 
     def residuals(self, chosen: Array) -> Array:
-        """2 K errors of matches, then those of what is expected, in deviations."""
+        """2 K residuals of matches, then those of the priors, in standard deviations."""
         values = self.full(chosen)
         lens, poses = self.rig(values)
         error = self._reprojection(rays(lens, self.at_a), lens, poses, poses)
@@ -183,7 +183,7 @@ class _Bundle:
                                self._beforehand(values)))
 
     def slopes(self, chosen: Array) -> Array:
-        """Central differences: the same unknown of all photos at once, as a match knows but two of them."""
+        """Central differences, by one unknown of all photos at once: a match depends on two photos only."""
         values, step, at = self.full(chosen), 1e-6, self.layout.numbers
         expected = 3 + 3 * len(self.rotations)
         out = np.zeros((2 * self.count + expected, len(values)))
@@ -214,7 +214,7 @@ class _Bundle:
         return out[:, self.free]
 
     def loss(self, z: Array) -> Array:
-        """Pseudo-Huber for matches, squares for what is expected."""
+        """Pseudo-Huber for matches, squares for the priors."""
         matches = 2 * self.count
         rho = np.stack((z, np.ones_like(z), np.zeros_like(z)))
         t = 1 + z[:matches] / SOFT**2

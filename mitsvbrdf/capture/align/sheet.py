@@ -1,9 +1,9 @@
-"""The sheet of tags that is laid on the material: its layout, what of it is white paper, and a file to print.
+"""The sheet of tags that is laid on the material: its layout, where it is white paper, and a file to print.
 
 Sixteen AprilTags of the family 36h11 (Olson 2011; Wang and Olson 2016), ids 0 to 15, on the border of a 5 x 5
-grid with a pitch of two tags: the layout of svbrdf-diff-renderer, whose sheets and ours stand for each other.
-Everything lies on a grid of cells, eight of which are a tag with its black border; the frame spans 72 of
-them, outer edges of the tags.
+grid with a pitch of two tags: the layout of svbrdf-diff-renderer, whose sheets and ours are interchangeable.
+Everything lies on a grid of cells. A tag with its black border is eight cells wide. The frame of tags is 72
+cells wide, from outer edge to outer edge.
 """
 
 from dataclasses import dataclass
@@ -73,7 +73,7 @@ class Sheet:
         return {number: np.column_stack((xy * (1, -1), np.zeros(4))) * self.cell for number, xy in at.items()}
 
     def white(self, points: NDArray) -> NDArray[np.bool_]:
-        """Which points (K x 2, cm, of the sheet) are white paper, a cell or more from anything else."""
+        """Whether points of the sheet (K x 2, cm) are on white paper, a cell or more from anything else."""
         column, row = np.floor(np.asarray(points).T * ((1,), (-1,)) / self.cell + OUTER / 2).astype(int)
         inside = (column >= 0) & (column < OUTER) & (row >= 0) & (row < OUTER)
         return inside & _WHITE[np.clip(row, 0, OUTER - 1), np.clip(column, 0, OUTER - 1)]
@@ -81,7 +81,7 @@ class Sheet:
     def picture(self, pixels_per_cm: float) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
         """The sheet, ``outer`` wide, from above, row 0 at the top; each pixel is the average of its area.
 
-        N x N, paper 255 and black 0; and N x N, the pixels whose centre is in the hole.
+        N x N values, paper 255 and black 0; and an N x N mask of the pixels whose centre is in the hole.
         """
         count = max(1, round(self.outer * pixels_per_cm))
         edges = np.linspace(0, OUTER, count + 1)
@@ -100,7 +100,7 @@ def tag_cells(number: int) -> NDArray[np.bool_]:
 
 
 def _grids() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """White cells of the sheet (with the hole), and those that are white paper with all their neighbours."""
+    """White cells of the sheet (hole included), and cells that are white paper, as all neighbours are."""
     cells, paper = np.ones((2, OUTER, OUTER), dtype=bool)
     for number, (column, row) in enumerate(_PLACES):
         tag = slice(row, row + TAG), slice(column, column + TAG)
@@ -123,7 +123,7 @@ def write_sheet(path: str | Path, size_cm: float = 18.0, paper: Paper = "a4") ->
     """Write the sheet at its true size on a page of A4 or Letter, with instructions in small print.
 
     Args:
-        path: .pdf or .svg (lines and areas), or .png (600 dots an inch).
+        path: .pdf or .svg (vector graphics), or .png (600 dots an inch).
         size_cm: of the frame, outer edge to outer edge of the tags.
 
     Raises:
@@ -151,7 +151,7 @@ def write_sheet(path: str | Path, size_cm: float = 18.0, paper: Paper = "a4") ->
 
 
 def _draw(axes: Any, sheet: Sheet, width: float, height: float) -> None:
-    """A page; cm from its lower left corner."""
+    """Draw the page; coordinates are cm from its lower left corner."""
     from matplotlib.patches import PathPatch, Rectangle
     from matplotlib.path import Path as Outline
 
@@ -166,7 +166,7 @@ def _draw(axes: Any, sheet: Sheet, width: float, height: float) -> None:
         runs += [((left, top) + ((first, -row - 1) + square * (last - first, 1)) * sheet.cell)
                  for first, last in zip(steps[::2], steps[1::2])]
     codes = [Outline.MOVETO, *[Outline.LINETO] * 3, Outline.CLOSEPOLY] * len(runs)
-    # one area: no seams
+    # all cells as one path: no seams
     axes.add_patch(PathPatch(Outline(np.concatenate(runs), codes), facecolor="black", linewidth=0))
     for side, dashes in ((sheet.outer, "-"), (sheet.hole, (0, (6, 4)))):
         corner = middle - side / 2, top - (sheet.outer + side) / 2

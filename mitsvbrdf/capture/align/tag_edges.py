@@ -4,9 +4,9 @@ Corners that a detector reports are off by half a pixel, and a lens bends the ed
 along the outer edges of the tags are measured, each across its edge only: where linear light crosses the
 middle between black and white.
 
-The outer edges of some tags are not all there: cut off by the rim of the photo, or by scissors. Edges between
-their black and white cells are measured instead. Where most of those in the picture are as the code has them,
-the tag is there.
+The rim of the photo or scissors may cut off outer edges of a tag. The edges between its black and white cells
+are measured instead. The tag counts as found if most of those edges in the picture agree with the code of the
+tag.
 """
 
 from collections.abc import Mapping
@@ -25,21 +25,21 @@ from .features import mapped
 from .sheet import CODES, TAG, Sheet, tag_cells
 from .tag_search import LEAST_TAGS, at_rim, detected, expected, fault_of, sought, sought_by_features
 
-# Of a tag: points of its edges in cells from its top left corner, in pixels, ways across; its corners.
+# Of a tag: edge points in cells from its top left corner, the same in pixels, directions across; corners.
 Measured: TypeAlias = tuple[Array, Array, Array, Array]
 PROFILE = 33  # samples across an edge
 CONTRAST = 0.03  # linear, between white and black, below which nothing is measured
 WIDTH = 4  # profiles along the edge of a cell, in its middle part
-REACH_INSIDE = 0.45  # of a profile to both sides, in cells: the next edge may be a cell away
+REACH_INSIDE = 0.45  # reach of a profile to each side, in cells: the next edge may be a cell away
 PASSES = 5
-AGREE, LEAST_EDGES = 0.6, 16  # of the edges in the picture, that share and so many are as the code has them
-OUTLIER = 4.0  # median deviations
+AGREE, LEAST_EDGES = 0.6, 16  # least share and number of edges in the picture that agree with the code
+OUTLIER = 4.0  # times the median error
 CORNERS = np.array([[0, 0], [TAG, 0], [TAG, TAG], [0, TAG]], dtype=np.float64)
 
 
 def profile_values(grey: NDArray, linear: NDArray[np.float32], corners: Array, at: Array) -> Array:
-    """Radiance at pixels ``at`` (... x 2) around a tag with these corners (4 x 2); NaN beyond the photo. It
-    is ``linear`` by value of ``grey``, H x W of 8 or 16 bits.
+    """Radiance at pixels ``at`` (... x 2) around a tag with these corners (4 x 2); NaN beyond the photo.
+    ``linear`` has the radiance for each value of ``grey``, which is H x W of 8 or 16 bits.
     """
     low = np.maximum(np.floor(corners.min(axis=0) - np.ptp(corners, axis=0) / 4).astype(int), 0)
     high = np.maximum(np.ceil(corners.max(axis=0) + np.ptp(corners, axis=0) / 4).astype(int) + 1, low + 1)
@@ -69,7 +69,7 @@ def crossings(values: Array, steps: Array) -> Array:
 
 
 def _edges(number: int) -> tuple[Array, Array]:
-    """Middles of all edges of black cells beside white ones (K x 2, in cells), and the ways to white."""
+    """Middles of all edges between black and white cells (K x 2, in cells), and the directions to white."""
     cells = np.pad(tag_cells(number), 1, constant_values=True).astype(int)
     found = []
     for axis in (0, 1):
@@ -89,8 +89,8 @@ EDGES = [_edges(number) for number in range(len(CODES))]
 
 def measured_inside(grey: NDArray, linear: NDArray[np.float32], number: int,
                     corners: Array) -> Measured | None:
-    """Points of a tag's edges in cells from its top left corner, in pixels, the ways across; its corners,
-    which lie within half a cell of those given (4 x 2 pixels).
+    """A tag measured at the edges between its cells (:data:`Measured`), or None. Its corners lie within half
+    a cell of those given (4 x 2 pixels).
     """
     middle, out = EDGES[number]
     along, steps = out[:, ::-1], np.linspace(-REACH_INSIDE, REACH_INSIDE, PROFILE)
@@ -111,14 +111,14 @@ def measured_inside(grey: NDArray, linear: NDArray[np.float32], number: int,
 
 
 def _across(warp: Array, edge: Array, along: Array) -> Array:
-    """Unit vectors (... x 2 pixels) across an edge at points of it that a homography maps; all in cells."""
+    """Unit vectors (... x 2, pixels) across an edge; ``warp`` maps its points and direction from cells."""
     tangent = mapped(warp, edge + 0.1 * along) - mapped(warp, edge - 0.1 * along)
     return (np.stack((tangent[..., 1], -tangent[..., 0]), axis=-1)
             / np.linalg.norm(tangent, axis=-1, keepdims=True))
 
 
 def _basis(points: Array) -> Array:
-    """How points (K x 2) move in the eight ways of a small homography: K x 2 x 8."""
+    """Derivatives of points (K x 2) by the eight parameters of a small homography: K x 2 x 8."""
     x, y = (points / (TAG / 2) - 1).T
     one, none = np.ones_like(x), np.zeros_like(x)
     return np.stack((np.stack((one, x, y, none, none, none, x * x, x * y), axis=-1),
@@ -126,20 +126,20 @@ def _basis(points: Array) -> Array:
 
 
 def _moves(at: Array, way: Array, offset: Array, good: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
-    """The homography that moves points (K x 2) along their ways by these offsets, and which ones agree."""
+    """Homography (:func:`_basis`) that moves points (K x 2) by ``offset`` along ``way``; and which agree."""
     slopes = (_basis(at) * way[..., None]).sum(axis=1)
     for _ in range(3):
         moves = np.linalg.lstsq(slopes[good], offset[good], rcond=None)[0]
         off = np.abs(slopes @ moves - offset)
-        good = off <= max(OUTLIER * float(np.median(off[good])), 0.02)  # a fiftieth of a cell is always well
+        good = off <= max(OUTLIER * float(np.median(off[good])), 0.02)  # a fiftieth of a cell always agrees
     return moves, good
 
 
 MOST_PIXELS = 4100  # of the long side that is measured; 12 megapixels are 4032 wide
 POINTS = 8  # measured along each edge, from WIDTH profiles each
-# of a profile to both sides: in cells, in the last pass no more than so many pixels
+# reach of a profile to each side: in cells, and in the last pass at most so many pixels
 REACH, REACH_PIXELS = 0.75, 8.0
-# of each edge, or the tag does not count; glare, a finger or the rim of the photo took the others
+# least points of each edge, or the tag does not count; glare, a finger or the rim may hide the others
 LEAST_POINTS = 3
 
 
@@ -149,15 +149,15 @@ class Edges:
 
     plane: Array  # on the sheet, K x 2 in cm
     pixels: Array  # in the stored photo, K x 2
-    across: Array  # unit vectors across the edges in the photo, K x 2; along them alone a point is known
+    across: Array  # unit vectors across the edges in the photo, K x 2; a point is known only along these
     corners: dict[int, Array]  # of each tag in the photo (4 x 2) by id, in the order of Sheet.corners
-    trimmed: bool = False  # whether no white around the tags told where they are
-    fault: str | None = None  # why there are hardly any, where that is known
+    trimmed: bool = False  # whether there is no white around the tags, so that features had to find them
+    fault: str | None = None  # why hardly any tags were found, where that is known
 
 
 def find_edges(photo: Photo, sheet: Sheet, patient: bool = True) -> Edges:
-    """The tags of a photo, which is read at no more than 4100 pixels a side. With patience, a photo that
-    hardly shows any is searched by other means, for what may be wrong, too.
+    """The tags of a photo, which is read at no more than 4100 pixels a side. With ``patient``, a photo
+    that shows hardly any is also searched by other means, and for what may be wrong.
     """
     times = -(-max(photo.size) // MOST_PIXELS)
     image = photo.pixels(MOST_PIXELS)
@@ -195,10 +195,10 @@ class _Search:
     linear: NDArray[np.float32]  # radiance by value of grey
 
     def measured(self, patient: bool) -> dict[int, Measured]:
-        """What is measured by id of the tag.
+        """The measured tags by id.
 
-        Tags that touch the photo's edge are measured inside. Where all others are too few, tags are looked
-        for again, and all measured inside.
+        Tags that touch the photo's edge are measured at their inner edges. If all others are too few, tags
+        are searched again, and all are measured at their inner edges.
         """
         found = {number: _measured(self.grey, self.linear, corners)
                  for number, corners in detected(self.shown).items()}
@@ -216,20 +216,20 @@ class _Search:
         return measured
 
     def inside(self, corners: Mapping[int, Array]) -> dict[int, Measured]:
-        """What is measured inside tags that should have these corners (4 x 2), by id."""
+        """Tags measured at their inner edges, by id; ``corners`` (4 x 2) are where they should be."""
         found = {number: measured_inside(self.grey, self.linear, number, at)
                  for number, at in corners.items()}
         return {number: m for number, m in found.items() if m}
 
 
-# Points in the middle of each edge's parts and the ways outward, in cells; edges top, right, bottom, left.
+# Places of profiles along an edge; directions along and out of each edge: top, right, bottom, left; in cells.
 _ALONG = 1 + (TAG - 2) * (np.arange(POINTS * WIDTH) + 0.5) / (POINTS * WIDTH)
 _WAY = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
 _OUT = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])
 
 
 def _measured(grey: NDArray, linear: NDArray[np.float32], corners: Array) -> Measured | None:
-    """Points of a tag's edges in cells from its top left corner, in pixels, the ways across; its corners."""
+    """A tag measured at its outer edges (:data:`Measured`), or None."""
     found = corners
     on = CORNERS[:, None] + _ALONG[:, None] * _WAY[:, None]  # 4 x (POINTS * WIDTH) x 2
     for last in (False, True):

@@ -1,7 +1,7 @@
 """Where tags may be in a photo: OpenCV's detector, more patient where it sees few; and why there are none.
 
-A detector of tags needs white around each. Of a sheet without its white rim on a dark material, features tell
-where it is: the print has hundreds.
+The detector needs white around each tag. Where a sheet has lost its white rim on a dark material, features
+find it: the print has hundreds.
 """
 
 import tempfile
@@ -18,16 +18,16 @@ from ..photo import Photo
 from .features import find_features, homography, mapped, match
 from .sheet import CODES, TAG, Sheet, tag_cells
 
-SEARCHED = 2050  # of the long side where tags are looked for at first
-LEAST_TAGS = 4  # that tell a pose
-RIM = 0.06  # of the photo's long side: white put around it, for tags that touch its edge
-PRINT = 40  # pixels a cm of a sheet of 18 cm, as which its features are searched
+SEARCHED = 2050  # pixels of the long side in the first search for tags
+LEAST_TAGS = 4  # fewest tags that tell a pose
+RIM = 0.06  # white added around a photo, as a share of its long side, for tags that touch its edge
+PRINT = 40  # pixels a cm, if the sheet has 18 cm, at which features of the print are searched
 WIDER = {"adaptiveThreshWinSizeMin": 23, "adaptiveThreshWinSizeMax": 143, "adaptiveThreshWinSizeStep": 30,
          "adaptiveThreshConstant": 3.0}  # for photos blurred, dark, or unevenly lit
 
 
 def detected(grey: NDArray[np.uint8], **options: Any) -> dict[int, Array]:
-    """Corners of tags (4 x 2) by id, none of one seen twice; options of OpenCV's ``DetectorParameters``."""
+    """Corners of tags (4 x 2) by id, without tags seen twice; options of OpenCV's ``DetectorParameters``."""
     cells = [np.ascontiguousarray(tag_cells(number)[1:-1, 1:-1]).astype(np.uint8)
              for number in range(len(CODES))]
     rows = [cv2.aruco.Dictionary.getByteListFromBits(middle) for middle in cells]
@@ -52,7 +52,7 @@ def detected(grey: NDArray[np.uint8], **options: Any) -> dict[int, Array]:
 
 
 def sought(grey: NDArray[np.uint8], patient: bool = True, **options: Any) -> dict[int, Array]:
-    """As :func:`detected`, with white around the photo; patiently, in a second range of thresholds, too."""
+    """As :func:`detected`, with white around the photo; if ``patient``, with wider thresholds, too."""
     rim = round(RIM * max(grey.shape))
     framed = cv2.copyMakeBorder(grey, rim, rim, rim, rim, cv2.BORDER_CONSTANT, value=(255,))
     found = detected(framed, **options)
@@ -80,7 +80,7 @@ def sought_by_features(photo: Photo, sheet: Sheet) -> dict[int, Array]:
 
 
 def fault_of(grey: NDArray[np.uint8]) -> str | None:
-    """What is wrong with a photo whose tags are none, or None."""
+    """What is wrong with a photo in which hardly any tags were found; None: unknown."""
     if (count := len(sought(cv2.flip(grey, 1)))) >= LEAST_TAGS:
         return f"mirrored: {count} of 16 tags seen in its mirror image; give the file as the phone wrote it"
     if (count := len(sought(grey, detectInvertedMarker=True))) >= LEAST_TAGS:
@@ -90,7 +90,7 @@ def fault_of(grey: NDArray[np.uint8]) -> str | None:
 
 
 def expected(corners: Mapping[int, Array], sheet: Sheet) -> dict[int, Array]:
-    """Where all tags should be (4 x 2) by id, if the sheet is flat and these are where they are."""
+    """Expected corners of all tags (4 x 2) by id, from the corners of some tags, if the sheet is flat."""
     if not corners:
         return {}
     on_sheet = np.concatenate([sheet.corners[number][:, :2] for number in corners])
@@ -103,7 +103,7 @@ def expected(corners: Mapping[int, Array], sheet: Sheet) -> dict[int, Array]:
 
 
 def at_rim(corners: Array, shape: tuple[int, ...]) -> bool:
-    """Whether a tag (4 x 2 pixels) touches the edge of a photo (H x W), which the detector would not see."""
+    """Whether a tag (4 x 2 pixels) touches the edge of a photo (H x W), where the detector would miss it."""
     cell = float(np.ptp(corners, axis=0).mean()) / TAG
     far = np.array(shape[1::-1]) - 1 - cell / 2
     return bool(((corners < cell / 2) | (corners > far)).any())

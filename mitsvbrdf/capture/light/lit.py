@@ -33,7 +33,7 @@ class Lit:
     shading: Shading | None  # flash, vignetting and exposures; None where the photos do not tell them
     # N x R x R x 3 display values without vignetting; what lies beyond a photo's edges is filled
     pictures: torch.Tensor
-    measured: torch.Tensor | None  # N x R x R, False where it is; None: nowhere
+    measured: torch.Tensor | None  # N x R x R, False where a picture is filled; None: nowhere
     views: Views  # N
     notes: tuple[str, ...]  # what a user should know
 
@@ -52,7 +52,7 @@ class Lit:
 
 def _shading(rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Paper | None,
              depth: float) -> tuple[Shading | None, tuple[str, ...]]:
-    """From the paper of the sheet, else from the material, else nothing; and what was noticed."""
+    """The shading from the paper of the sheet, else from the material, else None; and notes."""
     if rig.source == "none":
         return None, ("photos rectified to their sheet already: views are unknown, and a fit estimates them",)
     notes = []
@@ -74,7 +74,7 @@ def _shading(rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Pa
 
 
 def _views(rig: Rig, shading: Shading | None) -> Views:
-    """Where cameras and flashes were, and how bright each photo shows them; the default, if unknown."""
+    """The views: places, and intensities that include each photo's exposure; the default where unknown."""
     if rig.source == "none":
         views = default_views(len(rig.poses))
         return Views.of(views.camera * rig.size, None, views.intensity * rig.size**2, rig.size)

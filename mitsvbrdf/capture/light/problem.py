@@ -19,20 +19,20 @@ VIGNETTING_SD = 0.3, 0.3
 EXPOSURE_SD = 0.05  # natural logarithm; a locked exposure repeats itself to some per cent
 LOG_ALPHA = math.log(0.3), 1.0  # of the lobe, natural logarithm, and its sd
 LOG_F0 = math.log(0.16), 1.5  # of the lobe, natural logarithm over the median albedo, and its sd
-# from the mirror direction: nothing counts up to here, everything from there on
+# angles from the mirror direction: weights are LEAST_WEIGHT up to the first, 1 from the second on
 MIRROR = math.radians(10), math.radians(20)
-LEAST_WEIGHT = 0.05  # of what lies there, so that texels with no other photo are not lost
-DARKEST = -7.0  # natural logarithm of albedo over the median: nothing tells it from 0
+LEAST_WEIGHT = 0.05  # of points near the mirror direction, so that texels with no other photo are not lost
+DARKEST = -7.0  # natural logarithm of albedo over the median; less cannot be told from 0
 ALBEDO_STEPS = 6  # of Gauss-Newton, where there is a lobe
 
 
 class Problem:
     """The residuals of a rig's samples, K points of M photos.
 
-    The unknowns, by ``layout``, are what is added to what is expected: ``flash``, its place in camera axes
+    The unknowns, by ``layout``, are differences from the expected values: ``flash``, its place in camera axes
     (the rig's unit); ``vignetting``, v1 and v2; ``exposures``, natural logarithms, one a photo; ``log_alpha``
-    and ``log_f0`` of the lobe. :meth:`residuals` and :meth:`jacobian` take them over their prior's
-    deviations, ``spread``.
+    and ``log_f0`` of the lobe. :meth:`residuals` and :meth:`jacobian` take them in standard deviations of the
+    prior, ``spread``.
     """
 
     def __init__(self, rig: Rig, samples: Samples) -> None:
@@ -63,7 +63,7 @@ class Problem:
                 + np.log(transmission_of(s.radius2, u.vignetting)))
 
     def half2(self, unknowns: Array) -> Array:
-        """Squared sine of the angle between half vector and upright at each point."""
+        """Squared sine of the angle between half vector and flat normal at each point."""
         light, eye = (x[self.samples.photo] - self.samples.points
                       for x in (self.flashes(unknowns), self.cameras))
         half = (light / np.linalg.norm(light, axis=1, keepdims=True)
@@ -71,14 +71,14 @@ class Problem:
         return np.square(half[:, :2]).sum(axis=1) / np.square(half).sum(axis=1)
 
     def away(self, unknowns: Array) -> Array:
-        """Weight of each point by its angle to the mirror direction, where no lobe explains it."""
+        """Weight of each point: by its angle to the mirror direction if there is no lobe, else 1."""
         if self.samples.glossy:
             return np.ones(len(self.samples.log))
         angle = 2 * np.arcsin(np.sqrt(self.half2(unknowns)))
         return ((angle - MIRROR[0]) / (MIRROR[1] - MIRROR[0])).clip(LEAST_WEIGHT, 1)
 
     def lobe(self, unknowns: Array) -> Array | float:
-        """Pi F0 D / 4 of GGX at each point, over albedo / pi; without shadowing, normals flat."""
+        """F0 D / 4 of GGX at each point, comparable with albedo / pi; no shadowing, flat normals."""
         if not self.samples.glossy:
             return 0.0
         u, half2 = self.layout.unpack(unknowns), self.half2(unknowns)
@@ -87,10 +87,10 @@ class Problem:
                 / (alpha2 * (1 - half2) + half2) ** 2)
 
     def explain(self, unknowns: Array, weights: Array) -> tuple[Array, Array, Array]:
-        """What suits the points best (Gauss-Newton) for these unknowns.
+        """The albedo that explains the points best (Gauss-Newton) for these unknowns.
 
-        Logarithms of albedo / pi of each texel for an intensity of 1, and of what the lobe multiplies each
-        point by; and the error that is left.
+        Logarithm of albedo / pi of each texel, for an intensity of 1; logarithm of the factor by which the
+        lobe brightens each point; and the error that is left.
         """
         texel, lobe = self.samples.texel, self.lobe(unknowns)
         apparent = self.samples.log - self.model(unknowns)
@@ -105,7 +105,7 @@ class Problem:
         return albedo, gloss, apparent - albedo[texel] - gloss
 
     def slopes(self, unknowns: Array, albedo: Array) -> Array:
-        """Derivatives of each point's log radiance by the unknowns, albedo held: K x unknowns."""
+        """Derivatives of each point's log radiance by the unknowns, with the albedo fixed: K x unknowns."""
         def shown(unknowns: Array) -> Array:
             return self.model(unknowns) + np.log1p(self.lobe(unknowns) / np.exp(albedo)[self.samples.texel])
 
@@ -122,7 +122,7 @@ class Problem:
         return np.concatenate((np.sqrt(weights) / scale * self.explain(x * self.spread, weights)[-1], x))
 
     def jacobian(self, x: Array, weights: Array, scale: float) -> Array:
-        """Of the residuals, the albedo following (Kaufman's form of variable projection, 1975)."""
+        """Jacobian of the residuals; the albedo adapts to x (Kaufman's form of variable projection, 1975)."""
         albedo, gloss, _ = self.explain(x * self.spread, weights)
         out, texel, share = self.slopes(x * self.spread, albedo), self.samples.texel, np.exp(-gloss)
         total = np.bincount(texel, weights * share**2).clip(1e-12)
@@ -138,7 +138,7 @@ class Problem:
         for photo in range(len(self.turns)):
             w, rows = (x[self.samples.photo == photo] for x in (weights / scale**2,
                                                                 np.column_stack((slopes, error))))
-            rows = rows - w @ rows / w.sum().clip(1e-12)  # of any exposure
+            rows = rows - w @ rows / w.sum().clip(1e-12)  # whatever the exposure
             square = rows.T @ (w[:, None] * rows)
             information.append(square[:2, :2] + 1e-9 * np.eye(2))
             places.append(unknowns[both] + np.linalg.solve(information[-1], square[:2, 2]))

@@ -15,9 +15,9 @@ from ...views import texel_positions
 from ..lens import Array, Lens, Pose, on_plane, project
 from ..rig import Rig
 
-FAINTEST_CORNER = 0.2  # of the transmission
+FAINTEST_CORNER = 0.2  # least transmission
 
-BLOCKS_ALONG = 96  # a photo's long side; a block of paper is a sample
+BLOCKS_ALONG = 96  # blocks along a photo's long side; a block of paper is a sample
 MATERIAL_SIDE = 32  # texels a side of a material that are compared
 DARK_VALUE = 0.03  # display values below are noise
 DIM = 0.1  # display value at which noise in the logarithm is as large as the model's error
@@ -73,7 +73,7 @@ def material_samples(photo: np.ndarray, lens: Lens, pose: Pose, size: float,
     points = texel_positions(photo.shape[0]).numpy()[:side * step, :side * step]
     points = points.reshape(side, step, side, step, 3).mean(axis=(1, 3)).reshape(-1, 3) * size
     row, column = (index.ravel() for index in np.mgrid[:side, :side])
-    usable = (brightest < NEARLY_CLIPPED).all(axis=1)  # NaN is no number below
+    usable = (brightest < NEARLY_CLIPPED).all(axis=1)  # False for NaN
     cells = row * CELLS // side * CELLS + column * CELLS // side
     linear = color.decode(torch.from_numpy(display), transfer).numpy()
     return _Seen(points, project(lens, pose, points), linear, display, usable, row * side + column, cells)
@@ -83,12 +83,12 @@ def material_samples(photo: np.ndarray, lens: Lens, pose: Pose, size: float,
 class Samples:
     """Usable points of all photos, one after the other: K values each, or K x 3."""
 
-    names: list[str]  # of the photos; photo is the number of each point's
-    photo: np.ndarray
+    names: list[str]  # of the photos
+    photo: np.ndarray  # number of each point's photo
     points: Array
     radius2: Array
-    log: Array  # natural logarithm of the mean of its channels; colour those of the channels over it
-    colour: Array
+    log: Array  # natural logarithm of the mean of the channels
+    colour: Array  # natural logarithms of the channels over that mean
     weight: Array  # 1 / (1 + noise of the logarithm / error of the model)^2
     texel: np.ndarray  # points of one texel have one albedo
     cell: np.ndarray  # points of one cell may err alike
@@ -96,7 +96,7 @@ class Samples:
 
     @classmethod
     def of(cls, rig: Rig, seen: Mapping[str, _Seen], what: str, glossy: bool) -> Samples:
-        """What is neither clipped nor dark in photos ``seen``; an error names ``what`` they show."""
+        """The points of ``seen`` that are neither clipped nor dark; an error names ``what`` photos show."""
         kept = {name: s.usable & (s.display.mean(axis=1) > DARK_VALUE) & np.isfinite(s.pixels).all(axis=1)
                 for name, s in seen.items()}
         if not any(k.any() for k in kept.values()):
@@ -124,11 +124,11 @@ def radius2_of(lens: Lens, pixels: Array) -> Array:
 
 
 def transmission_of(radius2: Array, vignetting: Array) -> Array:
-    """Share of the light that arrives there, 1 in the middle, by v1 and v2: K."""
+    """Share of the light that arrives at these squared distances, 1 in the middle, by v1 and v2: K."""
     return (1 + vignetting[0] * radius2 + vignetting[1] * radius2**2).clip(FAINTEST_CORNER)
 
 
 def falloff_of(flash: Array, points: Array) -> Array:
-    """Logarithm of cos / d^2 at points (K x 3) of the upright."""
+    """Logarithm of cos / d^2 at points (K x 3) with the flat normal."""
     to_flash = flash - points
     return np.log(to_flash[:, 2].clip(1e-9)) - 1.5 * np.log(np.square(to_flash).sum(axis=1))

@@ -5,16 +5,16 @@ A diffuse point of albedo rho, seen through a lens of transmission T, sends to t
     L = rho / pi * I * exp(e) * cos / d^2 * T(pixel)
 
 with I the flash's radiant intensity, e the logarithm of the photo's exposure, d the distance to the flash and
-cos that of the angle between it and the upright. The logarithm is linear in all unknowns but the flash's
-place and vignetting. White paper has one known albedo everywhere; a material has one of its own in each
-texel, the same in all photos, and beside it one GGX lobe that all texels share. Albedo is eliminated
-(variable projection, Golub and Pereyra 1973): what is compared are photos with each other. Errors above are
-highlights more often than not: weights fall fast there, slowly below (iteratively reweighted least squares).
-Paper has no lobe; what is near its mirror direction counts little.
+cos the cosine of the angle from flat normal to flash. The logarithm of L is linear in all unknowns but the
+flash's place and vignetting. White paper has one known albedo everywhere. A material has an albedo in each
+texel, the same in all photos, and one GGX lobe that all texels share. Albedo is eliminated (variable
+projection, Golub and Pereyra 1973), so photos are compared with each other. Positive errors are mostly
+highlights: their weights fall fast, those of negative errors slowly (iteratively reweighted least squares).
+Paper has no lobe; points near its mirror direction count little.
 
-Residuals of neighbouring points err alike, so the noise, and how many points count as one, are measured on
-the residuals, as in :mod:`mitsvbrdf.calibrate.refine`. Where a material is hardly diffuse at all, both are
-large, and the priors remain.
+Residuals of neighbouring points are correlated, so the noise, and how many points count as one, are measured
+on the residuals, as in :mod:`mitsvbrdf.calibrate.refine`. Where a material is hardly diffuse at all, both are
+large, and the priors decide.
 """
 
 import math
@@ -33,8 +33,8 @@ from .solve import Shading, solve_light
 # albedo of white office paper; 0.75 to 0.9, ISO 2470 brightness without optical brighteners
 PAPER_ALBEDO = 0.8
 MOST_ALBEDO = 0.8
-# natural logarithm of a colour beside the median photo's, from which on its white balance is another; of a
-# material deviations over texels, too (18 real ones: up to 2.0); points that a photo must show for it
+# A photo has another white balance if the natural logarithm of its colour differs from the median photo's by
+# TINTED, and by SURELY deviations over texels (18 real ones: up to 2.0). It must show LEAST_COLOURED points.
 TINTED, SURELY, LEAST_COLOURED = 0.03, 3.0, 20
 # usual one, and sd of its logarithm; dielectrics have 0.04, but one lobe for all finds less: 0.005 to 0.06
 LOBE_F0 = 0.03, 0.6
@@ -45,10 +45,10 @@ def shading_of_paper(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color
                      albedo: float = PAPER_ALBEDO) -> Shading:
     """Flash, its power and colour, vignetting and exposures from white paper around the material.
 
-    Photos are pixels H x W x 3 as stored (integers, or float in [0, 1]), of the lens's size or a whole part
-    of it; those without a pose do not count. ``white`` says for points of the world (K x 2) whether bare
-    paper is there. Its albedo is the same in all colours: what deviates is the flash's colour. CaptureError:
-    no photo shows white paper that is neither clipped nor dark.
+    Photos are pixels H x W x 3 as stored (integers, or float in [0, 1]), of the lens's size, or that
+    divided by a whole number; those without a pose do not count. ``white`` says for points of the world (K x
+    2) whether bare paper is there. The paper's albedo is the same in all channels, so its tint is the
+    flash's. CaptureError: no photo shows white paper that is neither clipped nor dark.
     """
     seen = {name: paper_samples(photos[name], rig.lens, pose, white, depth, transfer)
             for name, pose in rig.poses.items() if name in photos}
@@ -62,16 +62,16 @@ def shading_of_paper(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color
 
 
 def tint_of(samples: Samples) -> dict[str, Array]:
-    """White balance of photos, as factors of rgb, in which it is not that of most photos, by name."""
+    """White balance, as factors of rgb, by name, of photos that differ in it from most photos."""
     own, usual, spread = _colours(samples)
     return {name: np.exp(colour - usual) for name, colour in own.items()
             if (np.abs(colour - usual) > np.maximum(TINTED, SURELY * spread[name])).any()}
 
 
 def _colours(samples: Samples, without: Collection[str] = ()) -> tuple[dict, Array, dict]:
-    """Logarithms of rgb over their mean in each photo beside what others show of its texels, and the usual.
+    """Colours of photos relative to their texels' medians over photos, the usual colour, and deviations.
 
-    The usual colour is the median over photos. Last, standard deviations over a photo's texels; 0 on paper.
+    Logarithms of rgb over their mean; the usual is a median over photos. Deviations over texels: 0 on paper.
     """
     count = samples.texel.max() + 1
     one = count == 1  # paper, which is the same everywhere
@@ -100,7 +100,7 @@ def _said(tint: Mapping[str, Array], where: str, done: str) -> str:
 
 
 def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color.Transfer) -> Shading:
-    """Flash, vignetting and exposures from the material, alike from everywhere but for highlights.
+    """Flash, vignetting and exposures from a material that looks the same from everywhere but in highlights.
 
     Albedo alone does not tell the light's power, but most materials are dielectrics: the power is what makes
     the lobe's F0 and the median albedo most probable together (:data:`LOBE_F0`,
@@ -113,7 +113,7 @@ def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: co
     seen = {name: material_samples(photos[name], rig.lens, pose, rig.size, transfer)
             for name, pose in rig.poses.items() if name in photos}
     found = solve_light(rig, Samples.of(rig, seen, "the material", glossy=True))
-    # of albedo, for an intensity of 1
+    # median and 99th percentile of the albedo, for an intensity of 1
     middle, most = math.pi * np.exp(np.nanpercentile(found.albedo, (50, 99)))
     by_albedo, by_lobe = 1 / USUAL_ALBEDO[1] ** 2, 1 / (LOBE_F0[1] ** 2 + float(found.deviations.log_f0) ** 2)
     power = (by_albedo * math.log(middle / USUAL_ALBEDO[0])

@@ -1,8 +1,8 @@
 """The most probable light: robust least squares in rounds, once more without photos that had no flash.
 
-How evenly each photo is lit tells these: 0 where light falls off as a flash's, 1 where only the room's light
-is. Each photo's log radiance, less what the other photos say of its texels, is set against the pattern a
-flash would make.
+The evenness of a photo's light tells these: 0 where it falls off as a flash's, 1 where there is only the
+room's light. Each photo's log radiance, less what the other photos say of its texels, is compared with the
+pattern that a flash would make.
 """
 
 import math
@@ -18,13 +18,13 @@ from .problem import LOG_F0, Problem
 from .samples import Samples
 from .upside_down import Flashes
 
-# times: how far beyond what noise explains unknowns of known materials, which share no one lobe, were off
+# factor by which unknowns of known materials were off beyond noise: not all texels share one lobe
 MISFIT = 4.0
 ROUNDS = 10  # of reweighting
 EVEN = 0.5  # evenness from which a photo takes no part
 SURE = 0.2  # standard deviation up to which evenness counts as measured
 LEAST_LOG_NOISE = 0.002  # of log radiance
-BELOW, ABOVE = 2.0, 3.0  # standard deviations from where residuals count less
+BELOW, ABOVE = 2.0, 3.0  # standard deviations from which negative and positive residuals count less
 
 
 @dataclass(frozen=True)
@@ -55,12 +55,12 @@ class _Found:
     unknowns: SimpleNamespace  # by the problem's layout
     deviations: SimpleNamespace
     typical: float  # logarithm of albedo over pi, for an intensity of 1, before anything is known
-    level: float  # that of paper
+    level: float  # the same, as found on paper
     level_sd: float
     colour: Array
     albedo: Array  # logarithm, over pi, of each texel, for an intensity of 1; NaN where nothing is known
     evenness: dict[str, float]
-    flashes: Flashes | None  # of paper
+    flashes: Flashes | None  # by each photo of paper; None of a material
     unlit: tuple[str, ...] = ()
     turned: tuple[str, ...] = ()
 
@@ -102,7 +102,7 @@ def solve_light(rig: Rig, samples: Samples) -> _Found:
 
 
 def _turned(found: _Found, counts: Array) -> _Found:
-    """The light with photos turned that surely were saved upside down; in rounds, as misfits count little."""
+    """The light after turning photos that surely were upside down; in rounds, since misfits weigh little."""
     new, signs = found, np.ones(len(counts))
     for _ in range(ROUNDS):
         if new.flashes is None or (change := new.flashes.likeliest()).min() > 0:
@@ -131,7 +131,7 @@ def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
                              max_nfev=20)
     unknowns = solution.x * problem.spread
     albedo, gloss, error = problem.explain(unknowns, weights)
-    # errors of a photo that was saved upside down are no highlights: above they count as below
+    # errors of a photo that was saved upside down are no highlights: positive ones weigh as negative ones
     own = samples.weight * counts[samples.photo] * problem.away(unknowns) * trust_of(-np.abs(error) / noise)
     flashes = None if samples.glossy else problem.flashes_of_each(unknowns, own, scale)
     covariance = np.linalg.inv(solution.jac.T @ solution.jac) * np.outer(problem.spread, problem.spread)
@@ -146,25 +146,25 @@ def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
 
 
 def noise_of(error: Array, weights: Array) -> float:
-    """Standard deviation of residuals that have company, from the weighted median of their size."""
+    """Standard deviation of residuals, from the weighted median of their absolute values."""
     order = np.argsort(np.abs(error))
     half = np.searchsorted(np.cumsum(weights[order]), weights.sum() / 2)
     return max(LEAST_LOG_NOISE, 1.4826 * float(np.abs(error)[order][min(half, len(error) - 1)]))
 
 
 def trust_of(size: Array) -> Array:
-    """Weights of residuals in deviations: 1 / |r| below (Huber 1981), 1 / r^4 above (Geman, McClure 1985)."""
+    """Weights: 1 / |r| for negative residuals r (Huber 1981), 1 / r^4 for positive (Geman, McClure 1985)."""
     return np.where(size < 0, 1 / (np.abs(size) / BELOW).clip(1), 1 / (1 + (size / ABOVE) ** 2) ** 2)
 
 
 def alike(error: Array, weights: Array, cell: np.ndarray) -> float:
-    """How many residuals count as one: the mean square of sums over cells, over that of independent ones."""
+    """How many residuals count as one: ratio of the squared sums over cells to those of independent ones."""
     sums, squares = (np.bincount(cell, v) for v in (weights * error, (weights * error) ** 2))
     return max(1.0, float(np.square(sums).sum() / max(squares.sum(), 1e-30)))
 
 
 def evenness_of(problem: Problem, unknowns: Array, weights: Array, gloss: Array) -> dict[str, float]:
-    """1 - slope of each photo's log radiance, less what others say of its texels, over a flash's pattern."""
+    """Evenness: 1 - slope of log radiance, less the albedo by other photos, over a flash's pattern."""
     samples, pattern = problem.samples, problem.falloff(unknowns) + gloss
     own = samples.weight * problem.away(unknowns)
     weights = np.minimum(weights, own)
@@ -182,7 +182,7 @@ def evenness_of(problem: Problem, unknowns: Array, weights: Array, gloss: Array)
 
 
 def _flatness(pattern: Array, error: Array, weights: Array, cell: np.ndarray) -> float:
-    """- slope of errors over the pattern, robust, in [0, 1]; 0 where its standard deviation is above SURE."""
+    """Minus the robust slope of errors over the pattern, in [0, 1]; 0 if its deviation is above SURE."""
     if len(pattern) < 20:
         return 0.0
     found = min((_line(pattern, error, weights, cell, start) for start in (0.0, -1.0)),
@@ -191,7 +191,7 @@ def _flatness(pattern: Array, error: Array, weights: Array, cell: np.ndarray) ->
 
 
 def _line(x: Array, y: Array, weights: Array, cell: np.ndarray, slope: float) -> tuple[float, float, float]:
-    """A robust line: its slope, the standard deviation of that, and of the rest. It starts from ``slope``."""
+    """Slope of a robust line, found from ``slope``; standard deviations of the slope and of the residuals."""
     for _ in range(5):
         rest = y - slope * x
         rest = rest - np.median(rest)

@@ -1,8 +1,8 @@
-"""Photos that were saved upside down: from their pixels, the flash lies on the other side of the lens.
+"""Photos that were saved upside down: by their pixels, the flash lies on the other side of the lens.
 
-Its pose is turned with it: only the light tells. Each photo's falloff on paper gives
-a flash of its own. One flash at f, or at -f in photos turned, leaves a chi squared of 2M - 2 degrees of
-freedom in M photos. Beyond noise, noise is taken to be larger (quasi-likelihood, Wedderburn 1974).
+The pose of such a photo is turned with it, so only the light tells. On paper, the falloff in each photo gives
+a flash. One flash at f, or at -f in turned photos, leaves a chi squared of 2M - 2 degrees of freedom in M
+photos. If that exceeds the noise, the noise is taken to be larger (quasi-likelihood, Wedderburn 1974).
 """
 
 import math
@@ -11,7 +11,7 @@ import numpy as np
 
 from ..lens import Array
 
-RARE = 0.01  # of captures have photos like these, expected beforehand, and then any share of them alike
+RARE = 0.01  # prior share of captures with such photos, in which any number of them is equally probable
 
 
 class Flashes:
@@ -20,7 +20,7 @@ class Flashes:
     Args:
         places: M x 2.
         information: M x 2 x 2, the inverses of their covariances.
-        prior: 2 x 2, that of the one flash, which is expected at 0.
+        prior: 2 x 2, the information of the prior on the one flash, which is expected at 0.
     """
 
     def __init__(self, places: Array, information: Array, prior: Array) -> None:
@@ -40,7 +40,7 @@ class Flashes:
         return np.where(sure, best if best.sum() >= 0 else -best, 1.0)
 
     def turned(self, signs: Array) -> bool:
-        """Whether photos surely had to be turned to show these flashes: those with a sign (M) of -1."""
+        """Whether the photos with a sign of -1 (of M signs) surely had to be turned to show these flashes."""
         if not (few := int((signs < 0).sum())):
             return False
         expected = RARE / (1 - RARE) / (len(signs) + 1) / math.comb(len(signs), few)

@@ -8,7 +8,7 @@ import torch
 
 from ...views import Views, coverage_angle
 
-# Half vectors this close to the upright show a highlight (of roughness 0.35: alpha is tan 7 degrees).
+# Half vectors this close to the flat normal show a highlight (of roughness 0.35: alpha is tan 7 degrees).
 HIGHLIGHT_ANGLE = math.radians(7)
 # places tried: grid in patch sides, farthest, most slanted
 GRID_STEP, FARTHEST, SLANT = 0.05, 1.0, math.radians(35)
@@ -20,15 +20,15 @@ class NextView:
     """A place to take one more photo from."""
 
     camera: tuple[float, float, float]  # x, y, z in the unit of the views
-    gain: float  # share of the patch that it would be the first to show a highlight of
+    gain: float  # share of the patch where it would be the first to show a highlight
     near: int  # number of the photo that was taken closest to it
     words: str  # what to do, for a person
 
 
 def next_best_view(views: Views, names: Sequence[str], unit: str) -> NextView | None:
-    """The place at the usual height for one more photo, which shows most new highlights; None: hardly any.
+    """The place at the usual height where one more photo shows most new highlights; None: hardly any.
 
-    ``names`` are those of the photos there are, ``unit`` is ``cm`` or ``patch sides``.
+    ``names`` are those of the photos so far, ``unit`` is ``cm`` or ``patch sides``.
     """
     side, size = 32, views.size
     sides = views.in_patch_sides().to(torch.float64)

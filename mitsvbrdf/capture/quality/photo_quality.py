@@ -19,13 +19,13 @@ from ...color import NEARLY_CLIPPED
 from ...material.resample import resized
 from ...views import Views, geometry
 
-# texels a side at which radiance is compared, and at most at which detail is
+# texels a side for the comparison of radiance, and at most for that of detail
 RADIANCE_SIDE, DETAIL_SIDE = 32, 512
-# of a texel that is unlike the others: sum of differences of chromaticity, log of radiance
+# a texel beyond one of these is unlike the others: summed difference of chromaticity, log of radiance
 COLOUR, DARKER = 0.3, 1.4
-# correlation of a texel's detail with the median photo's: of the photos in the median; of this one
+# correlation of detail with the median photo: least in the median over photos, most in one that lacks it
 AGREE, DISAGREE = 0.5, 0.3
-SLIGHT_COLOUR, SLIGHT = 0.1, 0.3  # and by how much the texel must be of another colour or brightness besides
+SLIGHT_COLOUR, SLIGHT = 0.1, 0.3  # by which the colour or brightness of such a texel must differ, too
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class PhotoQuality:
     stops: float  # how much brighter than the others it shows the same texels, as powers of two
     unlike: float  # share of the patch, in one piece, of a colour or a darkness that no other photo shows
     unlike_detail: float  # the same, of texels that lack the detail that the others agree on
-    evenness: float | None = None  # 0: light falls off as a flash's, 1: it is even; None: not asked
+    evenness: float | None = None  # 0: light falls off as a flash's, 1: it is even; None: not measured
     masked: float = 0.0  # share of the patch behind its mask or outside; the other numbers are of the rest
 
 
@@ -50,7 +50,7 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, over
 
     Args:
         photos: N x R x R x 3 display values in [0, 1], rectified; N >= 3 for the comparison to mean anything.
-        views: theirs; a light's place and power need be no better than roughly right.
+        views: those of the photos; places and powers of lights need only be roughly right.
         overlap: see :class:`PhotoQuality`, by name in the order of the photos; so is ``evenness``.
         measured: N x R x R, False where photos are made up; None: nowhere.
     """
@@ -87,9 +87,9 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, over
 def _sharpness(luminance: np.ndarray, plain: np.ndarray) -> np.ndarray:
     """Detail of N x S x S display values in the direction that has least, over the median photo's: N.
 
-    A hand that moves takes detail away along its way only. Second differences over 4 texels are divided by
-    those over 16 and by brightness (their geometric mean: either alone differs more between real photos of a
-    relief), at the ``plain`` texels.
+    A moving hand removes detail only along its path. At the ``plain`` texels, second differences over 4
+    texels are divided by the geometric mean of those over 16 and of brightness (either alone differs more
+    between real photos of a relief).
     """
     plain = plain.copy()
     # differences reach over the rim
@@ -110,7 +110,7 @@ def _sharpness(luminance: np.ndarray, plain: np.ndarray) -> np.ndarray:
 
 
 def detail_of(pixels: np.ndarray) -> float:
-    """Finest detail of a whole photo (H x W x 3, 8 or 16 bits) over coarser detail."""
+    """Ratio of the finest to the coarser detail of a whole photo (H x W x 3, 8 or 16 bits)."""
     luminance = pixels.mean(axis=2, dtype=np.float32) / np.float32(np.iinfo(pixels.dtype).max)
     smooth = cv2.GaussianBlur(luminance, (0, 0), 1.5)
     return _rms(luminance - smooth) / max(_rms(smooth - cv2.GaussianBlur(luminance, (0, 0), 6)), 1e-9)
@@ -137,6 +137,6 @@ def _agreement(luminance: np.ndarray) -> np.ndarray:
 
 
 def _largest_piece(mask: np.ndarray) -> float:
-    """The largest connected part of a mask as a share of it all."""
+    """The largest connected part of a mask as a share of all its texels."""
     sizes = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=4)[2][1:, cv2.CC_STAT_AREA]
     return float(sizes.max() / mask.size) if len(sizes) else 0.0

@@ -4,8 +4,8 @@ A photo is rejected where it would do harm: highlights, falloff, shadows of a re
 slanted view are no reasons. A number that a reason needs is a field of
 :class:`~.photo_quality.PhotoQuality`.
 
-Limits were measured on 108 photos of twelve materials, none of which may be called bad; behind each stands
-the worst of these.
+Limits were measured on 108 photos of twelve materials. None of these photos is bad; the comment of each
+limit gives the worst value among them.
 """
 
 from collections.abc import Collection, Mapping, Sequence
@@ -25,11 +25,11 @@ LEAST_OVERLAP = 0.95  # of the patch; texels beyond a photo's edge are filled in
 MOST_CLIPPED = 0.4  # of the patch; 0.22
 # of the median photo's; 0.57. Simulated photos of four materials by a hand that moved: 0.33 to 0.47
 LEAST_SHARPNESS = 0.52
-# pixels of the patch; with fewer the limit falls in proportion: of 128, where it is 0.26, real ones have 0.37
+# pixels a side; with fewer, that limit falls in proportion: to 0.26 at 128, where real photos have 0.37
 ENOUGH = 256
 MOST_STOPS = 1.6  # brighter or darker than the others; 1.2
-# of the patch, in one piece; 0.18 and 0.14, with a highlight on metal 0.21. A finger over half of it: 0.28 to
-# 0.52, and where its colour is that of the material 0.35 to 0.39
+# of the patch, in one piece; 0.18 and 0.14, with a highlight on metal 0.21. A finger over half of the
+# patch: 0.28 to 0.52, and 0.35 to 0.39 where it has the colour of the material
 UNLIKE, UNLIKE_DETAIL = 0.25, 0.28
 # of evenness (0: falls off as a flash's light does, 1: even); 0.65. Simulated photos without flash: 0.99
 MOST_EVENNESS = 0.8
@@ -40,7 +40,7 @@ SAME_PLACE, SAME_PICTURE = 0.05, 0.02  # patch sides, mean difference of display
 
 def _reason(photo: PhotoQuality, qualities: Sequence[PhotoQuality], side: int,
             fired: Mapping[str, str]) -> tuple[str, bool] | None:
-    """Why a photo is rejected, the first reason that holds, and whether it may mislead the poses of all."""
+    """The first reason to reject a photo, and whether the photo may mislead the poses of all; or None."""
     if fired.get(photo.name) == "off" and any(fired.get(each.name) == "fired" for each in qualities):
         return "taken without flash (says its EXIF)", False
     if photo.overlap < LEAST_OVERLAP:
@@ -91,7 +91,7 @@ def judge(photos: Tensor, views: Views, transfer: color.Transfer, overlap: Mappi
 
 def _twice(found: Sequence[PhotoQuality], photos: Tensor, views: Views,
            rejected: Collection[str]) -> dict[str, str]:
-    """The reason of each photo that shows what an earlier one shows, of those that are not rejected."""
+    """The reason, by name, for each photo not rejected yet that shows the same as an earlier one."""
     small, camera = resized(photos, min(64, photos.shape[1])), views.in_patch_sides().camera
     again = dict[str, str]()
     for i, photo in enumerate(found):
@@ -105,7 +105,7 @@ def _twice(found: Sequence[PhotoQuality], photos: Tensor, views: Views,
 
 def blurred(photos: Sequence[Photo], reasons: Mapping[str, str],
             others: Collection[np.ndarray]) -> dict[str, str]:
-    """A better reason for photos without a pose that are blurred beside ``others``, which have one."""
+    """A better reason for photos without a pose that are blurred compared with ``others``, which have one."""
     usual = float(np.median([detail_of(pixels) for pixels in others]))
     sharpness = {photo.name: detail_of(photo.pixels(LONG_SIDE)) / usual for photo in photos}
     return {name: f"blurred: {sharp:.2f} times as sharp as the others ({reasons[name]})"
