@@ -98,7 +98,7 @@ class Capture:
         views: the N views.
         transfer: how display values encode linear radiance.
         index: the number of each photo in the capture it was read from (0-based), e.g. (0, 1, 2, 3, 5, 6, 8).
-        calibration: where the views come from; ``none``: they are the stated default geometry.
+        calibration: where the views come from; ``none``: the default geometry, or views estimated from it.
         source: the folder that the capture came from.
         notes: what a user should know about how it was read (rejected photos, default geometry, ...).
         colours: conversions to sRGB, by the name of the photos' colour profile.

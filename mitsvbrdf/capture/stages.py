@@ -1,7 +1,7 @@
 """From raw photos to a capture, in stages: photos of one camera, poses, rectified photos, light, verdicts.
 
 Stages are functions without side effects. Those that reject photos return the reasons. One photo at a time
-is in memory. Of each photo, the rectified patch is kept.
+is in memory. Of each photo, the rectified patch and a small copy of the whole are kept.
 """
 
 import math
