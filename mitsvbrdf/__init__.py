@@ -31,7 +31,7 @@ __all__ = sorted(_HOME)
 def __getattr__(name: str) -> object:
     if name in _HOME:
         from .io.signals import PROCESS
-        with PROCESS:  # torch and Mitsuba do not bear a second thread while they load
+        with PROCESS:  # loading torch or Mitsuba is not thread-safe
             if "torch" not in sys.modules:  # its idle threads leave the cores to Mitsuba
                 os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
             found = globals()[name] = getattr(importlib.import_module(f".{_HOME[name]}", __name__), name)

@@ -1,4 +1,4 @@
-"""Entry point: prepares the process, then runs the command line; ``doctor`` works without all packages."""
+"""Entry point: prepares the process, then runs the command line; ``doctor`` works with packages missing."""
 
 import os
 import signal
@@ -20,7 +20,7 @@ def main() -> int:
         code = INTERRUPTED
     except SystemExit as stop:  # help was shown, or options are wrong
         code = stop.code if isinstance(stop.code, int) else 0 if stop.code is None else 2
-    if heard:  # libraries that are taken down would show a traceback
+    if heard:  # else Ctrl-C during shutdown would show a traceback
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     try:
         from .io.streams import told

@@ -1,6 +1,6 @@
 """What is installed here, whether it suffices for fits through Mitsuba, and how to get what is missing.
 
-Nothing is imported before it is known to be safe: an unsuitable libLLVM is met in a child process only.
+Nothing is imported before it is known to be safe: an unsuitable libLLVM is loaded in a child process only.
 """
 
 import importlib
@@ -57,7 +57,7 @@ def doctor(json: bool = False, variant: str = "llvm_ad_rgb") -> int:
     if json:
         print(dumps({"ok": well, "rows": [asdict(row) for row in rows]}, indent=1))
         return 0 if well else 1
-    # plain text: it must print where rich is what is missing, and pastes well into a bug report
+    # plain text: it must print even if rich is missing, and pastes well into a bug report
     for row in rows:
         print(f"{ {True: 'ok', False: 'NO', None: ''}[row.ok]:3}{row.name:22}{row.value}")
         if row.fix:
@@ -83,7 +83,7 @@ def _extra(name: str, module: str) -> Row:
 
 
 def _mitsuba(variant: str) -> list[Row]:
-    """Rows of Mitsuba, Dr.Jit, each libLLVM and the variant. Only a proved libLLVM lets Mitsuba in."""
+    """Rows of Mitsuba, Dr.Jit, each libLLVM and the variant. Mitsuba loads only with a proved libLLVM."""
     versions = {name: version_of(name) for name in ("mitsuba", "drjit")}
     rows = [Row(name, version, True) if version else Row(name, "not installed", False, "pip install mitsuba")
             for name, version in versions.items()]

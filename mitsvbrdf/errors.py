@@ -72,7 +72,7 @@ def strict(wanted: bool = True) -> Iterator[None]:
 
 @contextlib.contextmanager
 def plain_warnings() -> Iterator[None]:
-    """Inside, a warning of this package is one line on standard error, printed once, without its place."""
+    """Inside, a warning of this package is one line on standard error, printed once, without file or line."""
     said = set()
     with warnings.catch_warnings():
         others = warnings.showwarning
@@ -122,7 +122,7 @@ def _said(error: BaseException) -> str | None:
 
 
 def _is_of_ctrl_c(error: BaseException | None) -> bool:
-    """Whether it is, or was, KeyboardInterrupt: Dr.Jit makes a RuntimeError of it, CPython a SystemError.
+    """Whether an error is, or was, KeyboardInterrupt: Dr.Jit makes it a RuntimeError, CPython a SystemError.
 
     Mitsuba keeps only the text of an error in a plugin's ``__init__``.
     """

@@ -15,7 +15,7 @@ from .errors import ConfigError
 P = ParamSpec("P")
 T = TypeVar("T")
 
-# what an annotation stands for beside its own kind
+# wider kinds that an annotation accepts
 _WIDER: dict[Any, Any] = {float: numbers.Real, Path: os.PathLike, tuple: (tuple, list)}
 
 
@@ -38,7 +38,7 @@ def check_arguments(function: Callable, args: tuple, kwargs: Mapping[str, Any]) 
 
 
 def check_fields(instance: Any, *names: str) -> None:
-    """Raise ConfigError for the first field of a dataclass, of all or of these, of another kind."""
+    """Raise ConfigError for the first field of a dataclass, of all or of ``names``, of another kind."""
     owner: Any = type(instance)
     hints, _ = _about(owner)
     for name in names or [field.name for field in fields(instance)]:
@@ -66,7 +66,7 @@ def _about(owner: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
 
 
 def _fits(value: object, hint: Any) -> bool:
-    """Whether a value is of this kind; contents of collections are not looked at, nor choices of words."""
+    """Whether a value is of this kind; contents of collections and words of a Literal are not checked."""
     origin = get_origin(hint) or hint
     if origin in (Union, types.UnionType):
         return any(_fits(value, each) for each in get_args(hint))

@@ -32,9 +32,9 @@ CLAMP_TO_EDGE, REPEAT, VERTICES, INDICES = 33071, 10497, {"target": 34962}, {"ta
 def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
     """Write ``folder/material.glb``: base colour; occlusion, roughness and metallic packed; normal; and F0.
 
-    Base colour and metallic are those of :func:`mitsvbrdf.material.conversion.layered`: only what clearly is
-    a metal is one. ``KHR_materials_specular``, for ``roughconductor`` materials only, carries F0; viewers
-    without it show 0.04.
+    Base colour and metallic are those of :func:`mitsvbrdf.material.conversion.layered`: only a clear metal is
+    metallic. ``KHR_materials_specular``, for ``roughconductor`` materials only, carries F0; viewers without
+    it show 0.04.
     """
     material, factor, lost = svbrdf, None, {}
     if svbrdf.bsdf == "roughconductor":
@@ -58,7 +58,7 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
                 described(f"{FILE}: normal", "normal", 8)]
     extension = {}
     if factor is not None:
-        largest = max(float(factor.max()), 1.0)  # a texture ends at 1, the factor beside it does not
+        largest = max(float(factor.max()), 1.0)  # a texture's values end at 1, the factor's do not
         images["specular_color"] = factor / largest
         textures.append(Texture(f"{FILE}: specular_color",
                                 f"factor on the dielectric F0 of 0.04, divided by {largest:.6g}", "sRGB", 8))

@@ -1,4 +1,4 @@
-"""The maps as PNG files, named as the tools or libraries of textures do that they are for."""
+"""The maps as PNG files, with the names that the target tool or texture library uses."""
 
 import unicodedata
 from dataclasses import replace
@@ -21,10 +21,10 @@ LONGEST = 100  # bytes of a material's name in file names; more would not fit ev
 
 
 def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
-    """Write the maps of a preset into the folder: colours sRGB, the rest linear, whatever the preset.
+    """Write the maps of a naming into the folder: colours sRGB, the rest linear; a strip is all linear.
 
-    Beside what a fit finds there are the height that the normals stand for (plus 0.5: at a displacement's
-    scale of 1 and middle of 0.5 it is right on a square of side 1), ambient occlusion by it, and occlusion,
+    Beside the maps of a fit there are: the height that the normals stand for, plus 0.5 (a displacement of
+    scale 1 and middle 0.5 is right on a square of side 1); ambient occlusion by this height; and occlusion,
     roughness and metallic packed in the channels of one file.
     """
     naming, normal, side = settings.naming, settings.normal, settings.side
@@ -77,7 +77,7 @@ def _strip(folder: Path, svbrdf: SVBRDF, settings: ExportSettings) -> Export:
 
 
 def _safe(name: str) -> str:
-    """A file name of letters and digits of any script, - and _; of a name without any, a number."""
+    """A file name of letters and digits of any script, - and _; for a name without any of these, a number."""
     kept = (c if unicodedata.category(c)[0] in "LMN" or c in "-_" else " "
             for c in unicodedata.normalize("NFC", name))
     safe = "_".join("".join(kept).split()).strip("_").encode()[:LONGEST].decode(errors="ignore")

@@ -28,7 +28,7 @@ def write_materialx(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEF
         level = usual_f0(svbrdf)
         material, relative = layered(svbrdf, torch.tensor(level)), relative_f0(svbrdf, level)
         lost = {"materialx": shown_residual(svbrdf, material, relative * level, torch.tensor(level))}
-        largest = max(float(relative.max()), 1.0)  # a texture ends at 1, the factor beside it does not
+        largest = max(float(relative.max()), 1.0)  # a texture's values end at 1, the factor's do not
     maps = {name: (f"textures/{name}.png", value, settings.bits) for name, value in material.maps.items()}
     if svbrdf.bsdf == "roughconductor":
         maps["specular"] = "textures/specular_color.png", relative / largest, settings.bits

@@ -127,8 +127,8 @@ def _fill(element: ET.Element, description: dict) -> None:
 def read_scene(mi: ModuleType, name: str, **values: str) -> dict[str, Any]:
     """A file of ``scenes/`` as the dictionary that ``mitsuba.load_dict`` takes, to be filled in.
 
-    Names are ids, else kinds (``sensor``, ``film``). References stay references, so that what they name can
-    be replaced.
+    Keys are ids, else kinds (``sensor``, ``film``). References stay references, so that their targets can be
+    replaced.
     """
     config = mi.parser.ParserConfig(mi.variant())
     state = mi.parser.parse_file(config, str(SCENES / name), **values)

@@ -1,4 +1,4 @@
-"""What a conversion changes: pictures under three lights, of the material and of its conversion."""
+"""What a conversion changes: RMSE of the maps, and of pictures under three lights."""
 
 import math
 
@@ -16,7 +16,7 @@ HEIGHT = 2.0  # of the camera, above the centre, in patch sides
 LIGHTS = {"at the camera": (0.0, 0.0, HEIGHT), "beside it": (0.8, 0.3, HEIGHT), "oblique": (1.5, 0.0, 0.6)}
 TEXELS = 1024  # a side
 SIDE = 256  # pixels of the pictures, at most
-IRRADIANCE = math.pi / 2  # at the centre: white paper shows half of the largest display value's radiance
+IRRADIANCE = math.pi / 2  # at the centre: the radiance of white paper is half of that at display value 1
 
 
 def three_lights() -> Views:
@@ -38,8 +38,8 @@ def residual(svbrdf: SVBRDF, converted: SVBRDF) -> dict[str, float]:
 
 
 def shown_residual(svbrdf: SVBRDF, material: SVBRDF, f0: Tensor, taken: Tensor) -> dict[str, float]:
-    """The same of what a client shows (:func:`mitsvbrdf.material.conversion.as_shown`), of large maps by
-    every k-th texel.
+    """:func:`residual` of what a client shows (:func:`mitsvbrdf.material.conversion.as_shown`); of large
+    maps, every k-th texel counts.
     """
     step = max(1, svbrdf.resolution // TEXELS)
 

@@ -29,12 +29,12 @@ class ExportSettings:
     """How a material is written.
 
     Args:
-        name: the material's, in file names of ``maps`` and in the GLB.
+        name: the material's name, in file names of ``maps`` and in the GLB.
         naming: file names of ``maps``.
         normal: of ``maps``; all other formats define theirs, which is OpenGL's.
         bits: of PNG files; colours of ``usd`` and all of ``gltf`` have 8, heights 16.
         side: of the patch in metres, for the sizes of meshes and heights; default: the mesh has side 1, of
-            whatever it is.
+            any unit.
         licence: what users may do with it, in every ``export.json`` and in the GLB.
         repeats: whether its edges meet (:func:`mitsvbrdf.material.tiling.seamless`): textures then repeat,
             and heights go on.
@@ -59,7 +59,7 @@ DEFAULTS = ExportSettings()
 class Texture:
     """What ``export.json`` says of a texture file."""
 
-    file: str  # its path, relative to export.json; for one inside another file both names
+    file: str  # its path, relative to export.json; of a texture inside another file, both names
     holds: str  # which map; for packed ones which map in which channel
     colour_space: str  # sRGB (transfer function of IEC 61966-2-1) or linear
     bits: int  # per channel; 32: float
@@ -78,21 +78,21 @@ def stored(name: str, value: Tensor, normal: NormalConvention = "gl") -> Tensor:
 
 
 def described(file: str, name: str, bits: int, normal: NormalConvention = "gl") -> Texture:
-    """What to say of a map stored as :func:`stored` does."""
+    """The description of a map that is encoded by :func:`stored`."""
     return Texture(file, name, SRGB if name in COLOURS else LINEAR, bits,
                    NORMALS[normal] if name == "normal" else None)
 
 
 def write_pngs(folder: Path, maps: Mapping[str, tuple[str, Tensor, Bits]],
                normal: NormalConvention = "gl") -> dict[str, Texture]:
-    """Write PNGs of linear maps side by side: by the map's name the file, the values and bits."""
+    """Write PNGs of linear maps in parallel; ``maps`` has file, values and bits by the map's name."""
     images.write_all([partial(images.write_png, folder / file, value, bits, partial(
         stored, name, normal=normal)) for name, (file, value, bits) in maps.items()])
     return {name: described(file, name, bits, normal) for name, (file, _, bits) in maps.items()}
 
 
 def rendered(template: str, **about: object) -> bytes:
-    """A document, by the template of its name beside this module."""
+    """A document, rendered from the template of this name beside this module."""
     import jinja2
 
     text = Path(__file__).with_name(template).read_text(encoding="utf-8")

@@ -17,7 +17,7 @@ from .residual import shown_residual
 from .textures import DEFAULTS, LINEAR, NOTES, Export, ExportSettings, Texture, rendered, write_pngs
 
 MATERIAL, PATCH = "material.usda", "patch.usda"
-HIGHEST_F0 = 0.9  # of what is no metal: a refractive index of 38
+HIGHEST_F0 = 0.9  # of non-metals: a refractive index of 38
 INPUTS = {"base_color": "color3f diffuseColor rgb", "metallic": "float metallic r", "ior": "float ior r",
           "roughness": "float roughness r", "normal": "normal3f normal rgb"}
 

@@ -1,9 +1,9 @@
 """What every command needs of the machine, and nothing of materials.
 
-``files`` writes whole or not at all and locks, ``results`` does the same for a folder of results, whose files
-``manifest`` lists. ``json`` reads JSON, ``decode`` photos, ``images`` reads and writes pictures. ``progress``
-talks to the user, ``streams`` lets no full disk end that, ``signals`` listens for Ctrl-C. ``timing``
-compares jobs, ``provenance`` names the machine and the versions.
+``files`` locks files and writes them whole or not at all, ``results`` does so for a folder of results, and
+``manifest`` lists the folder's files. ``json`` reads JSON, ``decode`` photos, ``images`` reads and writes
+pictures. ``progress`` talks to the user, ``streams`` keeps a full disk from ending a command, ``signals``
+listens for Ctrl-C. ``timing`` compares jobs, ``provenance`` names the machine and the versions.
 """
 
 from collections.abc import Callable

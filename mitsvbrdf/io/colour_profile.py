@@ -1,4 +1,4 @@
-"""What colours the numbers of a picture mean: its profile, and pixels in the colours of sRGB and Rec. 709.
+"""The colour profile that a picture states, and conversion of its pixels to the colours of sRGB and Rec. 709.
 
 8- and 16-bit pictures state an ICC profile, code points of ITU-T H.273 (cICP of PNG, nclx of HEIC), or
 gAMA and cHRM of PNG. littleCMS converts them to sRGB display values, as a viewer with colour management
@@ -32,18 +32,18 @@ PRIMARIES = {  # code points of H.273
     11: ("DCI-P3", (0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.314, 0.351)),
     12: ("Display P3", (0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.3290)),
 }
-GAMMAS = {4: 2.2, 5: 2.8, 8: 1.0}  # transfer of H.273; viewers show that of video (1, 6, 14, 15) as sRGB's
+GAMMAS = {4: 2.2, 5: 2.8, 8: 1.0}  # by transfer of H.273; viewers show video's (1, 6, 14, 15) as sRGB's
 HIGH_RANGE = {16: "PQ", 18: "HLG"}
 MAKE = 271  # tag of EXIF
-USUAL_GAMMA = 1 / 2.2, 0.03  # of gAMA; what lies as near as this is what sRGB pictures state
+USUAL_GAMMA = 1 / 2.2, 0.03  # gAMA of sRGB pictures, and how far from it a gAMA still counts as theirs
 GREY = "1", "L", "LA", "I", "I;16", "I;16B"  # Pillow's names of channels
-NEAR = 1 / 255  # a profile that moves no colour farther is that of sRGB
-SAMPLE = 2**16  # pixels by which colours outside sRGB are counted
+NEAR = 1 / 255  # a profile that moves no colour farther than this counts as sRGB
+SAMPLE = 2**16  # about so many pixels are sampled to count colours outside of sRGB
 BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 
 
 class Profile(NamedTuple):
-    """The colours of a picture that are not those of sRGB; of one that cannot be used, the reason."""
+    """A colour profile other than that of sRGB; ``reason`` says why it cannot be used, or is empty."""
 
     name: str
     icc: bytes = b""
@@ -52,7 +52,7 @@ class Profile(NamedTuple):
 
 
 def profile_of(image: Image.Image, path: Path) -> Profile | None:
-    """The profile that a picture states whose pixels are not read yet; None for sRGB's and for none."""
+    """The profile stated by a picture that is not decoded yet; None for sRGB's and where none is stated."""
     points = _cicp(path) if image.format == "PNG" else image.info.get("nclx_profile")
     icc = image.info.get("icc_profile")
     if points and (image.format == "PNG" or not icc):
@@ -69,7 +69,7 @@ def profile_of(image: Image.Image, path: Path) -> Profile | None:
 
 
 def exif_of(image: Image.Image, tag: int, block: int = 0) -> Any:
-    """A value of a block of EXIF, by default the first; None where there is none, or it cannot be read."""
+    """The value of a tag in a block of EXIF, by default the first; None if absent or unreadable."""
     try:
         found = Image.Image.getexif(image)  # that of a PNG would decode it
         return (found.get_ifd(block) if block else found).get(tag)
@@ -78,7 +78,7 @@ def exif_of(image: Image.Image, tag: int, block: int = 0) -> Any:
 
 
 def to_srgb(pixels: np.ndarray, profile: Profile) -> tuple[np.ndarray, float]:
-    """Pixels of a profile (H x W x 3 of 8 or 16 bits; equal channels of a grey one) as sRGB of 16 bits.
+    """Convert pixels of a profile (H x W x 3, 8 or 16 bits; for a grey one, equal channels) to 16-bit sRGB.
 
     Also gives the share of pixels whose colours lie outside of sRGB and were moved to its edge.
     """
@@ -99,10 +99,10 @@ def _outside(pixels: np.ndarray, profile: Profile) -> float:
 
 
 def to_rec709(pixels: np.ndarray, chromaticities: Sequence[float]) -> np.ndarray:
-    """Linear pixels, H x W x 3, of these chromaticities (x, y of red, green, blue, white) in those of Rec.
-    709.
+    """Convert linear pixels, H x W x 3, from these chromaticities (x, y of R, G, B and white) to Rec. 709.
 
-    Another white is adapted by Bradford's matrix, so white stays (1, 1, 1). ValueError: they span no colours.
+    Bradford's matrix adapts another white point, so white stays (1, 1, 1). ValueError: the chromaticities
+    span no colours.
     """
     cones = [BRADFORD @ (np.array((x, y, 1 - x - y)) / y) for x, y in (chromaticities[6:], REC709[6:])]
     adapted = np.linalg.inv(BRADFORD) @ np.diag(cones[1] / cones[0]) @ BRADFORD
@@ -129,7 +129,7 @@ def _to_xyz(chromaticities: Sequence[float]) -> np.ndarray:
 
 
 def _transformed(pixels: np.ndarray, profile: Profile, kind: type) -> np.ndarray:
-    # of 16 bits, littleCMS would interpolate between colours of a grid: off by up to 16/255 from ProPhoto
+    # at 16 bits littleCMS would interpolate in a grid of colours: off by up to 16/255 from ProPhoto
     exactly = imagecodecs.CMS.FLAGS.NOOPTIMIZE if pixels.dtype == np.uint16 else 0
     return imagecodecs.cms_transform(pixels, profile.icc, imagecodecs.cms_profile("srgb"), outdtype=kind,
                                      colorspace="gray" if profile.grey else "rgb", outcolorspace="rgb",
@@ -138,7 +138,7 @@ def _transformed(pixels: np.ndarray, profile: Profile, kind: type) -> np.ndarray
 
 @cache
 def _made(name: str, chromaticities: tuple[float, ...], gamma: float | None) -> Profile | None:
-    """A profile of these chromaticities, with the curve of sRGB for no gamma."""
+    """A profile of these chromaticities and this gamma; without a gamma, with the curve of sRGB."""
     curve = {"gamma": gamma} if gamma else {"transferfunction": RESPONSES["srgb"].decode(
         np.linspace(0, 1, 4096, dtype=np.float32), Operations(np.where, np.maximum))}
     return _unless_srgb(Profile(name, imagecodecs.cms_profile(
@@ -183,7 +183,7 @@ def _of_png(image: Image.Image) -> Profile | None:
 
 
 def _cicp(path: Path) -> dict[str, int] | None:
-    """Code points of a PNG, of which Pillow does not tell."""
+    """The H.273 code points of a PNG's cICP, which Pillow does not read."""
     with open(path, "rb") as file:
         file.seek(8)
         while len(head := file.read(8)) == 8:
@@ -198,7 +198,7 @@ def _cicp(path: Path) -> dict[str, int] | None:
 
 
 def _of_exif(image: Image.Image) -> Profile | None:
-    """Adobe RGB, often without a profile: interoperability R03 (DCF 2.0), or a color space of 2."""
+    """Adobe RGB, often stated by EXIF alone: interoperability R03 (DCF 2.0), or a color space of 2."""
     space, rules = exif_of(image, 0xA001, 0x8769), str(exif_of(image, 1, 0xA005) or "")
     if space == 2 or rules.startswith("R03"):
         return _made("Adobe RGB", ADOBE_RGB, 2.19921875)

@@ -1,4 +1,4 @@
-"""Pictures in files to pixels: by content, header first, within a limit, and damage by the file's name."""
+"""Decode picture files: by content, header first, within a size limit; errors name the damaged file."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ DNG_VERSION = b"\x12\xc6\1\0\4\0\0\0", b"\xc6\x12\0\1\0\0\0\4"  # tag 50706 of T
 BITS, PHOTOMETRIC, ORIENTATION, EXTRA_SAMPLES = 258, 262, 274, 338  # tags of TIFF; EXIF has the third
 NEGATIVE = "negative"  # grey whose white is 0
 FOREIGN = "CMYK", "LAB", "HSV"  # Pillow's names of channels that are no RGB
-OPAQUE = 0.98  # of the most opaque pixel; a picture of one alpha has no mask
-# quarter turns against the clock, from how a photo is shown to how the sensor saw it
+OPAQUE = 0.98  # share of the largest alpha from which a pixel is opaque; a constant alpha is no mask
+# by EXIF's orientation: quarter turns counter-clockwise, from the photo as shown to the sensor's picture
 UNTURNED = {3: 2, 6: 1, 8: -1}
 
 
@@ -52,7 +52,7 @@ class Picture(NamedTuple):
 
     @property
     def opaque(self) -> np.ndarray | None:
-        """H x W, False where its alpha masks a pixel; None: nowhere."""
+        """H x W, False where the alpha masks a pixel; None where no pixel is masked."""
         opaque = None if self.alpha is None else self.alpha >= OPAQUE * self.alpha.max()
         return None if opaque is None or opaque.all() else opaque
 
@@ -71,7 +71,7 @@ def kind_of(path: Path) -> str:
 
 def header(path: Path, error: type[MitsvbrdfError]) -> Header:
     """Read the header alone, and raise ``error`` for what is no picture, or is larger than any photo."""
-    if not path.is_file():  # a pipe or a device would be waited for
+    if not path.is_file():  # reading a pipe or a device would wait
         raise error("an image file", f"no file at {path}", "check the name")
     with _named(path, error):
         kind = kind_of(path)
@@ -82,7 +82,7 @@ def header(path: Path, error: type[MitsvbrdfError]) -> Header:
             needed("pillow_heif", "heic", path, error).register_heif_opener()
         with opened(path, kind) as image:
             size, turned = image.size, exif_of(image, ORIENTATION)
-            if kind == "HEIF":  # decoded as it is shown; the sensor's pixels are what the lens knows
+            if kind == "HEIF":  # decoded as shown; the lens is calibrated on the sensor's picture
                 turned = image.info.get("original_orientation") or 1
                 size = size[::-1] if turned in (6, 8) else size
             elif kind == "TIFF":
@@ -102,11 +102,11 @@ def header(path: Path, error: type[MitsvbrdfError]) -> Header:
 
 
 def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Picture:
-    """A PNG, JPEG, TIFF, WebP or HEIC file by its content, whatever its name; grey is repeated.
+    """Decode a PNG, JPEG, TIFF, WebP or HEIC file by its content, whatever its name; grey becomes RGB.
 
-    ``error`` is raised where it is missing, too large, cut short, or damaged beyond reading; a JPEG whose
-    decoder made up what it could not read is an InputWarning. ``data``: its numbers are no colours, and stay
-    as they are.
+    ``error`` is raised for a file that is missing, too large, cut short, or damaged beyond reading.
+    InputWarning: the decoder of a JPEG made up what it could not read. ``data``: the numbers are no colours,
+    and stay as they are.
     """
     about = header(path, error)
     with _named(path, error):
@@ -115,7 +115,7 @@ def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Pict
             pixels = _jpeg(path, content)
         elif about.kind == "PNG":
             pixels = _png(path, content, about.mode == "RGBA")
-        elif about.kind == "TIFF" and about.mode != "P":  # of a palette, libtiff gives the numbers
+        elif about.kind == "TIFF" and about.mode != "P":  # for a palette, libtiff gives the indices
             pixels = _tiff(content, about.mode == "RGBA")
             pixels = ~pixels if about.mode == NEGATIVE else pixels
         else:
@@ -142,7 +142,7 @@ def _check_boxes(path: Path) -> None:
 
 
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
-    """Pixels (H x W x C or H x W) turned as EXIF's orientation says they are shown."""
+    """Pixels (H x W x C or H x W) turned upright, as EXIF's orientation says."""
     if orientation in (5, 6, 7, 8):
         pixels = pixels.swapaxes(0, 1)
     if orientation in (3, 4, 7, 8):
@@ -162,7 +162,7 @@ def check_size(path: Path, size: tuple[int, int], error: type[MitsvbrdfError]) -
 
 @contextlib.contextmanager
 def opened(path: Path, kind: str) -> Iterator[Image.Image]:
-    """A file of this kind in Pillow, and of no other: Pillow hands PostScript of any name to Ghostscript."""
+    """Open a file in Pillow as this kind alone: Pillow hands PostScript of any name to Ghostscript."""
     most, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
     try:
         with warnings.catch_warnings(action="ignore"), Image.open(path, formats=(kind,)) as image:  # of EXIF
@@ -175,7 +175,7 @@ def _png(path: Path, content: bytes, masked: bool) -> np.ndarray:
     import cv2
 
     with opened(path, "PNG") as image:
-        image.verify()  # its checksums, of which OpenCV only prints
+        image.verify()  # its checksums; OpenCV only prints that one is wrong
     how = (cv2.IMREAD_UNCHANGED if masked else
            cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
     try:
@@ -190,7 +190,7 @@ def _png(path: Path, content: bytes, masked: bool) -> np.ndarray:
 
 
 def _jpeg(path: Path, content: bytes) -> np.ndarray:
-    """Warns where the decoder complained. Only libjpeg-turbo's own interface tells that."""
+    """Decode, and warn where the decoder complains; only libjpeg-turbo's own interface tells that."""
     try:
         return simplejpeg.decode_jpeg(content, strict=True)
     except ValueError as complaint:
@@ -216,7 +216,7 @@ def _tiff(content: bytes, masked: bool) -> np.ndarray:
 
 
 def _coloured(pixels: np.ndarray, masked: bool) -> np.ndarray:
-    """H x W x 3, or 4 with alpha, of as many channels or of grey."""
+    """Pixels as H x W x 3, or x 4 with alpha; grey is repeated."""
     pixels = np.atleast_3d(pixels)
     if pixels.shape[2] < 3:  # grey, with its alpha
         pixels = np.concatenate((*[pixels[..., :1]] * 3, pixels[..., 1:]), axis=2)
@@ -228,7 +228,7 @@ def _by_pillow(path: Path, about: Header) -> np.ndarray:
     with opened(path, about.kind) as image:
         if (bits := image.info.get("bit_depth", 8)) == 8:
             pixels = np.asarray(image.convert("RGBA" if masked else "RGB"))
-    if bits > 8:  # of HEIC; Pillow has no colours of more than 8
+    if bits > 8:  # HEIC; Pillow has no colours of more than 8 bits
         heif = importlib.import_module("pillow_heif")
         stored = heif.open_heif(path, convert_hdr_to_8bit=False, hdr_to_16bit=False)
         pixels = (_coloured(np.asarray(stored), masked) * (65535 / (2**bits - 1))).round().astype(np.uint16)
@@ -236,7 +236,7 @@ def _by_pillow(path: Path, about: Header) -> np.ndarray:
 
 
 def needed(module: str, extra: str, path: Path, error: type[MitsvbrdfError]) -> ModuleType:
-    """A package that an extra installs, or an error that says so."""
+    """Import a package that an extra installs; where it is missing, the error names the extra."""
     try:
         return importlib.import_module(module)
     except ImportError:

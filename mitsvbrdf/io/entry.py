@@ -1,9 +1,9 @@
 """The edge of the Python API: public functions compute the same whatever the program around them has set.
 
 torch's default dtype belongs to the process, gradient and inference mode to the thread. Behind the edge the
-default dtype is float32, gradients are recorded where a function needs them, and no tensor is one of
-inference mode, which autograd refuses. A program's own default comes back when the last call, of whatever
-thread, is over. Where a program imported torch first, OpenMP's idle threads spin; torch has one thread then.
+default dtype is float32, gradients are recorded where a function needs them, and no tensor is an inference
+tensor, which autograd refuses. The program's own default comes back when the last call of all threads ends.
+Where a program imported torch first, OpenMP's idle threads spin; torch then gets one thread.
 """
 
 import contextlib
@@ -22,18 +22,18 @@ from ..kinds import check_arguments
 P = ParamSpec("P")
 T = TypeVar("T")
 
-SPINS = os.environ.get("OMP_WAIT_POLICY", "").upper() != "PASSIVE"  # set where torch is not loaded yet
+SPINS = os.environ.get("OMP_WAIT_POLICY", "").upper() != "PASSIVE"  # we set it where torch is not loaded yet
 _lock = threading.Lock()
-_calls = 0  # behind the edge, of all threads
-_default = torch.float32  # the default dtype that the first of them found
-_undo: dict[str, Callable[[], object]] = {}  # by what else was changed for them, what puts it back
+_calls = 0  # calls of all threads that are behind the edge now
+_default = torch.float32  # the default dtype that the first of these calls found
+_undo: dict[str, Callable[[], object]] = {}  # what undoes each other change, by its name ``what``
 
 
 def entry(gradients: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Makes a function one that a program may call under defaults of its own, and with wrong arguments.
+    """Decorates a public function: it works under any defaults of torch, and refuses wrong arguments.
 
     An argument of another kind than its annotation raises ConfigError. With ``gradients`` the function
-    records them even where its caller has switched that off.
+    records gradients even where its caller has switched them off.
     """
     def decorated(function: Callable[P, T]) -> Callable[P, T]:
         @functools.wraps(function)
@@ -76,8 +76,8 @@ def _float32() -> Iterator[None]:
 
 
 def put_back(what: str, undo: Callable[[], object]) -> None:
-    """Undo a change of what the process has once: after the last call behind the edge, or now without one. Of
-    several changes of the same thing the first is undone.
+    """Undo a change of process-wide state: after the last call behind the edge, or now if no call runs. Of
+    several changes with one name ``what``, only the first ``undo`` is called.
     """
     with _lock:
         if _calls:
@@ -87,11 +87,11 @@ def put_back(what: str, undo: Callable[[], object]) -> None:
 
 
 def _ordinary(value: Any) -> Any:
-    """Itself; or with copies in place of the tensors that inference mode made."""
+    """The value; where it has inference tensors, a new one with copies in their place."""
     if isinstance(value, Tensor):
         return value.clone() if value.is_inference() else value
     if is_dataclass(value) and not isinstance(value, type):
-        kept = getattr(value, "__dict__", {})  # a descriptor may make something else of it, at a cost
+        kept = getattr(value, "__dict__", {})  # getattr may call a descriptor that computes something else
         old = {field.name: kept[field.name] if field.name in kept else getattr(value, field.name)
                for field in fields(value) if field.init}
         new = {name: _ordinary(each) for name, each in old.items()}

@@ -1,7 +1,7 @@
-"""Files written whole or not at all, and read and named without being led elsewhere.
+"""Write files whole or not at all; read and name files without links that lead elsewhere.
 
-A write goes beside its target and is then renamed onto it. What a user names may be a symbolic link; what
-lies inside a folder of results may not: there a link, a pipe or a device is refused.
+A write makes a new file beside its target, and then renames it onto the target. A path that a user gives may
+be a symbolic link. Inside a folder of results a link, a pipe or a device is refused.
 """
 
 import contextlib
@@ -42,8 +42,8 @@ def write_bytes(path: Path, data: bytes) -> None:
 def atomic_write(path: Path) -> Iterator[Path]:
     """A temporary name in the same folder, renamed onto ``path`` when the block ends well, else removed.
 
-    A symbolic link stays one: what it points to is replaced. OutputError: the folder cannot be made or
-    written to, or something other than a file has this name.
+    Where ``path`` is a symbolic link, the link's target is replaced. OutputError: the folder cannot be made
+    or written to, or something other than a file has this name.
     """
     path, temporary = _places(path)
     try:
@@ -62,10 +62,10 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 @contextlib.contextmanager
 def file_lock(path: Path, seconds: float = -1) -> Iterator[None]:
-    """Keep a file or folder for this process and thread, by a file ``.NAME.lock`` beside it.
+    """Lock a file or folder for this process and thread, with a file ``.NAME.lock`` beside it.
 
-    What is locked need not exist, its folder must. Others are waited for so many seconds, or as long as it
-    takes. OutputError: another one has it. OSError: no lock can be made there.
+    The path need not exist, but its folder must. ``seconds`` is the longest wait for another holder;
+    negative: no limit. OutputError: another one has the lock. OSError: no lock can be made there.
     """
     place = _lock_file(path)
     with contextlib.suppress(FileNotFoundError):  # another run may take its lock away meanwhile
@@ -115,7 +115,7 @@ def file_hash(path: Path) -> str:
 
 
 def read_regular(path: Path, most: int, links: bool = True) -> bytes:
-    """The content of a regular file, by default also by a link; ValueError for more than ``most`` bytes."""
+    """The content of a regular file, by default also through a link; ValueError above ``most`` bytes."""
     with open_regular(Path(os.path.realpath(path)) if links else path) as file:
         if os.fstat(file.fileno()).st_size > most:
             raise ValueError(f"more than {most >> 20} MiB")
@@ -132,7 +132,7 @@ def open_regular(path: Path) -> io.BufferedReader:
 
 
 def is_regular(path: Path | None) -> bool:
-    """Whether a regular file has this name, and no link to one; no name is none."""
+    """Whether this path is a regular file, and no link to one; False for None."""
     try:
         return path is not None and stat.S_ISREG(path.lstat().st_mode)
     except (OSError, ValueError):
@@ -140,7 +140,7 @@ def is_regular(path: Path | None) -> bool:
 
 
 def stays_inside(name: object) -> bool:
-    """Whether a name that a file states can only lie inside a folder, links aside."""
+    """Whether a name that a file states cannot lead out of the folder it is joined to, links aside."""
     try:
         if not isinstance(name, str) or b"\0" in os.fsencode(name):
             return False
@@ -151,12 +151,12 @@ def stays_inside(name: object) -> bool:
 
 
 def is_entry(name: object) -> bool:
-    """Whether a name that a file states lies right inside a folder, and is no pattern of several names."""
+    """Whether a name that a file states is a direct entry of a folder, and no pattern with wildcards."""
     return stays_inside(name) and Path(str(name)).parts == (name,) and not set("*?[\\") & set(str(name))
 
 
 def inside(folder: Path, name: str) -> Path | None:
-    """Where a name that a file states lies in a folder; None where it leads out of it, or over a link."""
+    """The path in a folder of a name that a file states; None if it leaves the folder or crosses a link."""
     if not stays_inside(name):
         return None
     path = Path(folder)
@@ -205,7 +205,7 @@ def linked(path: Path, target: Path) -> None:
 
 
 def remove(path: Path) -> None:
-    """Take away a file, or a folder with all in it; of a link the link alone."""
+    """Remove a file, or a folder with all in it; of a link, only the link."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
@@ -222,7 +222,7 @@ def to_disk(path: Path) -> None:
 
 
 def check_output(*paths: Path | None) -> None:
-    """Raise OutputError now for files that :func:`atomic_write` could not write later; None is no file.
+    """Raise OutputError now for files that :func:`atomic_write` could not write later; None is skipped.
 
     Nothing is left behind, and missing folders are not made yet.
     """

@@ -27,7 +27,7 @@ from .files import atomic_write, write_bytes
 
 BANDED = 64  # rows of a PNG that are rounded at a time
 BAND = 2**22  # pixels that are averaged at a time
-OUTSIDE = 1e-4  # of the brightest value, what a colour may lie outside of Rec. 709 by rounding
+OUTSIDE = 1e-4  # share of the brightest value by which rounding may put a colour outside of Rec. 709
 # What a picture's channels are called; vectors, such as a renderer's normals, have X, Y, Z. Alpha and depth
 # are not read.
 SETS = ("RGB", "rgb", "XYZ", "xyz", "RG", "XY", "Y", "V", "R")
@@ -38,11 +38,11 @@ MAIN = "Combined"  # layer of Blender's that holds the picture itself
 def read_image(path: Path, error: type[MitsvbrdfError], data: bool = False, alpha: bool = False) -> Tensor:
     """An image file as float32 H x W x C, row 0 at the top, RGB order, turned as its EXIF says.
 
-    8- and 16-bit files give display values in [0, 1]; EXR files give what they hold, of one, two or three
-    channels (:func:`read_exr`). Colours of other spaces are converted to those of sRGB and Rec. 709.
+    8- and 16-bit files give display values in [0, 1]; EXR files give their values as they are, one, two or
+    three channels (:func:`read_exr`). Colours of other spaces are converted to those of sRGB and Rec. 709.
 
     Args:
-        error: raised where it is missing or unreadable.
+        error: the error to raise where the file is missing or unreadable.
         data: its numbers are no colours (roughness, normals), and stay as they are.
         alpha: whether to read only alpha, which is dropped otherwise.
 
@@ -70,8 +70,8 @@ def read_image(path: Path, error: type[MitsvbrdfError], data: bool = False, alph
 def read_exr(path: Path, error: type[MitsvbrdfError]) -> np.ndarray:
     """What an EXR's display window shows: H x W x 3, 2 or 1, contiguous float32; 0 where it has no pixels.
 
-    The picture is R, G, B, or X, Y, Z, or two or one of them, at the top level or in a layer of its own. A
-    file that is missing, damaged or too large, or leaves open which picture, raises ``error``.
+    The picture is R, G, B, or X, Y, Z, or two or one of them, at the top level or in a layer of its own.
+    ``error`` is raised where the file is missing, damaged or too large, or leaves open which picture to read.
     """
     if not path.is_file():
         raise error("an image file", f"no file at {path}", "check the name")
@@ -101,7 +101,7 @@ def read_exr(path: Path, error: type[MitsvbrdfError]) -> np.ndarray:
 
 
 def _together(path: Path) -> np.ndarray | None:
-    """Red, green and blue in one piece; None where they, or alpha, differ in kind."""
+    """Red, green and blue as one array; None where they, or alpha, differ in data type."""
     with contextlib.suppress(Exception):  # of whatever kind OpenEXR's is
         (channel,) = OpenEXR.File(str(path)).channels().values()
         return channel.pixels[..., :3]
@@ -117,7 +117,7 @@ def _box(window: Any) -> Box:
 
 
 def _within(pixels: np.ndarray, held: Box, shown: Box) -> np.ndarray:
-    """Pixels of the window ``held``, as the window ``shown`` has them: cut, and 0 where there are none."""
+    """Move pixels from the window ``held`` into the window ``shown``: cropped, and 0 where there are none."""
     if held == shown:
         return pixels
     out = np.zeros((*(b - a for a, b in zip(*shown)), pixels.shape[2]), np.float32)
@@ -137,7 +137,7 @@ def _picture(names: Sequence[str], path: Path, error: type[MitsvbrdfError]) -> l
         layers.setdefault(layer, []).append(channel)
     found = {layer: next(list(wanted) for wanted in SETS if set(wanted) <= set(channels))
              for layer, channels in layers.items() if any(set(wanted) <= set(channels) for wanted in SETS)
-             and "RY" not in channels}  # luminance of a picture whose colours RY and BY hold
+             and "RY" not in channels}  # there Y is a luminance, and RY and BY hold the colours
     if not found and len(names) == 1:
         return list(names)
     main = [layer for layer in found if layer in ("", MAIN) or layer.endswith(f".{MAIN}")] or list(found)
@@ -148,7 +148,7 @@ def _picture(names: Sequence[str], path: Path, error: type[MitsvbrdfError]) -> l
 
 
 def _in_rec709(linear: Tensor, path: Path, error: type[MitsvbrdfError]) -> Tensor:
-    """Pixels of an EXR in the colours of Rec. 709, from those that its header states."""
+    """Convert an EXR's pixels to Rec. 709 from the chromaticities that its header states."""
     stated = OpenEXR.File(str(path), header_only=True).parts[0].header.get("chromaticities")
     if stated is None or is_rec709(stated):
         return linear
@@ -178,7 +178,7 @@ def display(pixels: np.ndarray) -> np.ndarray:
 def averaged(pixels: np.ndarray, side: int) -> np.ndarray:
     """Square pixels (S x S x 3, 8 or 16 bits or float32), averaged to display values, ``side`` pixels a side.
 
-    It works by bands of rows, which meet where rows of the result do: it holds little more than the pixels.
+    It works on bands that hold whole rows of the result, and needs little memory beyond the pixels.
     """
     import cv2
 
@@ -196,7 +196,7 @@ def averaged(pixels: np.ndarray, side: int) -> np.ndarray:
 
 
 def unmasked(opaque: np.ndarray, side: int) -> np.ndarray:
-    """Which of ``side`` x ``side`` averages of square pixels (S x S) hold no masked one."""
+    """Which cells of ``side`` x ``side`` averages of a square picture (S x S) hold no masked pixel."""
     import cv2
 
     masked = (~opaque).astype(np.float32)
@@ -204,7 +204,7 @@ def unmasked(opaque: np.ndarray, side: int) -> np.ndarray:
 
 
 def write_all(writes: Sequence[Callable[[], T]]) -> list[T]:
-    """Write files side by side, on all cores: compressing them takes longest. The first error is raised."""
+    """Write files in parallel on all cores: compressing them takes longest. The first error is raised."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return [done.result() for done in [pool.submit(write) for write in writes]]
 
@@ -222,7 +222,7 @@ def write_channels(path: Path, channels: Mapping[str, np.ndarray]) -> None:
     with atomic_write(path) as temporary:
         try:
             OpenEXR.File(header, planes).write(str(temporary))
-        except RuntimeError as reason:  # what OpenEXR makes of a full disk; plain bytes tell its number
+        except RuntimeError as reason:  # a full disk, say; then plain bytes raise the OSError with its number
             temporary.write_bytes(b"".join(map(bytes, planes.values())))
             raise OSError(str(reason)) from None
 
@@ -250,7 +250,7 @@ def encode_png(image: Tensor, bits: int = 8, shown: Callable[[Tensor], Tensor] =
 
 
 def linear_writes(stem: Path, image: Tensor, transfer: color.Transfer) -> list[Callable[[], None]]:
-    """To write an image as ``stem.exr`` (linear, float32) and ``stem.png`` (display values, 8-bit)."""
+    """Functions that write an image as ``stem.exr`` (linear, float32) and ``stem.png`` (display, 8-bit)."""
     return [partial(write_exr, stem.with_suffix(".exr"), image),
             partial(write_png, stem.with_suffix(".png"), image,
                     shown=partial(color.to_display, transfer=transfer))]

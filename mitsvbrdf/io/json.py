@@ -17,7 +17,7 @@ NUMBER = (int, float)  # in a shape, see :func:`shape_error`
 
 
 def load(path: Path, kind: type | tuple[type, ...] = dict, links: bool = True) -> Any:
-    """What a JSON file holds, a value of this type; a symbolic link only where ``links`` says so.
+    """The value of a JSON file, of type ``kind``; a symbolic link is followed only with ``links``.
 
     OSError: it cannot be read, or is no regular file. ValueError: it is larger than 256 MiB, or
     :func:`parsed` refuses its content.
@@ -26,7 +26,7 @@ def load(path: Path, kind: type | tuple[type, ...] = dict, links: bool = True) -
 
 
 def parsed(text: str | bytes, kind: type | tuple[type, ...] = dict) -> Any:
-    """The value of a JSON text, of bytes in UTF-8.
+    """The value of a JSON text, or of its bytes in UTF-8.
 
     ValueError: no JSON, nested too deeply, a key twice in an object, a number that is not finite or that 64
     bits do not hold, or another type than ``kind``.
@@ -61,10 +61,10 @@ def error_text(reason: Exception) -> str:
 
 
 def shape_error(value: object, shape: object, where: str = "") -> str:
-    """Where a value does not have a shape, what was expected and what came; empty text where it has.
+    """Where a value departs from a shape, what was expected and what came; empty if it has the shape.
 
     A shape is a type that msgspec knows, ``list[X]`` and ``dict[str, X]`` among them. ``[X]`` is a list of X,
-    ``{str: X}`` an object of X, ``{"name": X, ...}`` one that has these keys, (X, Y) either.
+    ``{str: X}`` an object of X, ``{"name": X, ...}`` an object with these keys, (X, Y) one of X and Y.
     """
     try:
         msgspec.convert(value, _type_of(shape))
@@ -97,7 +97,7 @@ def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _place(value: Any) -> str:
-    """Where in a value the first float is that is not finite, such as ``camera_pos[5][1]``."""
+    """The place in a value of the first float that is not finite, such as ``camera_pos[5][1]``."""
     left = [("", value)]
     while left:
         where, each = left.pop()

@@ -1,4 +1,4 @@
-"""Named parts of a vector: least squares wants one vector, its reader wants names."""
+"""Named parts of a vector: a least-squares solver takes one vector, a reader wants names."""
 
 import math
 from types import SimpleNamespace
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class Layout:
-    """Which numbers of a vector are what: named arrays that lie one after the other.
+    """The layout of a vector: named arrays that lie one after the other.
 
         lens = Layout(log_focal=(), centre=(2,), distortion=(2,))
         lens.size                    # 5
@@ -33,16 +33,16 @@ class Layout:
         return self.slices[name]
 
     def unpack(self, vector: Any) -> SimpleNamespace:
-        """The parts by name, each in its shape; of an array or tensor (... x size) ... x shape."""
+        """The parts of an array or tensor (... x size) by name, each of shape (... x shape of the part)."""
         return SimpleNamespace(**{name: vector[..., self[name]].reshape((*vector.shape[:-1], *shape))
                                   for name, shape in self.shapes.items()})
 
     def pack(self, **parts: ArrayLike) -> NDArray[np.float64]:
-        """The float64 vector of these parts. Smaller arrays are repeated, missing parts are 0."""
+        """The float64 vector of these parts. Smaller arrays are broadcast, missing parts are 0."""
         each = ((np.asarray(parts.get(name, 0.0), np.float64), shape) for name, shape in self.shapes.items())
         return np.concatenate([np.broadcast_to(part, shape).ravel() for part, shape in each])
 
     @property
     def numbers(self) -> SimpleNamespace:
-        """By name, the places of a part's numbers in the vector, in its shape."""
+        """The indices of each part's numbers in the vector, by name, in the part's shape."""
         return self.unpack(np.arange(self.size))

@@ -1,4 +1,4 @@
-"""What in a result folder is ours: its manifest lists our files. Each new result raises its serial number."""
+"""Our files in a result folder: its manifest lists them. Each new result raises the serial number there."""
 
 import os
 from pathlib import Path
@@ -7,20 +7,20 @@ from .files import inside, is_regular, stays_inside
 from .json import load
 
 MANIFEST = ".mitsvbrdf"
-# Folders that commands make of maps inside their folder by default, and the file by which each is known.
+# Folders that commands by default make inside the folder of the maps, and the file that identifies each.
 DERIVED = {"export": "export.json", "relight": "relight.json"}
 
 
 def own_files(out: Path) -> list[str]:
     """Names of the files that commands put into ``out``, as its manifest lists them; none without one."""
     found = _manifest(out)
-    names = found.get("files") if isinstance(found, dict) else found  # a list alone: of earlier versions
+    names = found.get("files") if isinstance(found, dict) else found  # earlier versions wrote only a list
     names = names if isinstance(names, list) else []
     return [name for name in names if stays_inside(name) and name != MANIFEST]
 
 
 def derived(out: Path) -> dict[str, list[str]]:
-    """Folders of :data:`DERIVED` in which commands put what they made of this result, and their files' names.
+    """Folders of :data:`DERIVED` that commands made from this result, each with the names of its files.
 
     Only folders beside files of the result count, and only if their own manifest lists the file they are
     known by. Names are relative to ``out``.
@@ -72,6 +72,6 @@ def _manifest(folder: Path) -> object:
 
 
 def derived_places(out: Path) -> list[str]:
-    """Where there may be folders of :data:`DERIVED`."""
+    """Names, relative to ``out``, that folders of :data:`DERIVED` may have."""
     homes = {parent for name in own_files(out) for parent in Path(name).parents}
     return sorted(str(home / folder) for home in homes for folder in DERIVED)

@@ -34,7 +34,7 @@ class Lines:
         self.last = -math.inf
 
     def show(self, text: str, share: float) -> None:
-        """A line of the share done (0 to 1) and a text."""
+        """Print the share done (0 to 1) and a text, if a line is due."""
         now = time.perf_counter()
         if now - self.last > 10 or share >= 1:
             self.last = now
@@ -59,10 +59,10 @@ def progress_bar(title: str, lasting: bool = False) -> Iterator[Callable[[str, f
 class Progress:
     """Error, losses, speed and time left of a fit: the ``report`` of :func:`mitsvbrdf.fit.fit_svbrdf`.
 
-    Best used as a context manager. Without, a terminal shows plain lines.
+    Best used as a context manager. Otherwise a terminal, too, shows plain lines.
 
     Args:
-        title: stands before the bar, or above the line.
+        title: stands above the progress.
     """
 
     def __init__(self, title: str = "fit") -> None:
@@ -82,7 +82,7 @@ class Progress:
         now = time.perf_counter()
         first_iteration, first_time = self._first = self._first or (entry["iteration"], now)
         speed = (entry["iteration"] - first_iteration) / max(now - first_time, 1e-9)
-        # both count what was before a --resume, and no set-up
+        # both count the time before a --resume, and not the set-up
         left = entry["seconds"] * (1 / share - 1) if share > 0 else 0.0
         losses = "".join(f"  {name} {value:.4f}" for name, value in entry.items()
                          if name not in ("seconds", "iteration", "rerender_rmse"))
@@ -115,7 +115,7 @@ def print_rich(*what: Any, **style: Any) -> None:
 
 
 def figures_table(title: str, headings: Sequence[str]) -> Table:
-    """A table without rows yet: what each one is called, and figures below these headings."""
+    """An empty table: a first column for the names of rows, then one of figures below each heading."""
     table = Table("", title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0),
                   pad_edge=False)
     for heading in headings:

@@ -23,11 +23,11 @@ from .progress import say
 from .signals import deferred_signals
 
 CHECKPOINT = "checkpoint.safetensors"
-GLANCE = 0.05  # seconds that somebody who asks :func:`in_use` may hold the lock
+GLANCE = 0.05  # seconds for which a call of :func:`in_use` may hold the lock
 
 
 def partial_folder(out: Path) -> Path:
-    """``OUT.partial``, where a result lies while it is made; of a link, beside what it points to."""
+    """``OUT.partial``, where a result lies while it is made; for a link, beside the link's target."""
     out = Path(os.path.realpath(out))
     return out.with_name(f"{out.name}.partial")
 
@@ -35,11 +35,11 @@ def partial_folder(out: Path) -> Path:
 @contextlib.contextmanager
 def output_folder(out: Path, overwrite: bool, resume: bool = False, keep: tuple[str, ...] = (CHECKPOINT,),
                   add: bool = False) -> Iterator[Path]:
-    """Make the files of a result folder all or not at all.
+    """Write the files of a result folder, all or none.
 
     Yields the folder to write into, which takes the place of ``out`` when the block ends well. When the block
     fails, ``out`` stays as it was and :func:`partial_folder` holds what a later run resumes from. An earlier
-    result goes as a whole, with what commands made of it in :data:`DERIVED` folders.
+    result is removed as a whole, with the :data:`DERIVED` folders that commands made from it.
 
     Args:
         overwrite: whether an earlier result, or an unfinished run, may be replaced.
@@ -77,7 +77,7 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False, keep: tuple[
 
 
 def check_free(out: Path, overwrite: bool, resume: bool = False) -> None:
-    """Raise OutputError now for what :func:`output_folder` would refuse; its arguments. Nothing is made."""
+    """Raise OutputError now where :func:`output_folder` would, with the same arguments. Nothing is made."""
     out = Path(os.path.realpath(out))
     _check_free(out, overwrite, resume, (CHECKPOINT,))
     files.check_output(partial_folder(out) / MANIFEST)
@@ -118,7 +118,7 @@ def _check_free(out: Path, overwrite: bool, resume: bool, keep: tuple[str, ...],
 
 
 def _check_ours(out: Path) -> None:
-    """Raise OutputError where not all in a folder is ours to replace."""
+    """Raise OutputError where a folder holds something that is not ours to replace."""
     if others := files_of_others(out):
         raise OutputError("a folder with nothing but results of ours to replace",
                           f"{out} with {', '.join(others[:5])}{' ...' * (len(others) > 5)}",
@@ -126,17 +126,17 @@ def _check_ours(out: Path) -> None:
 
 
 def _begin(out: Path, staged: Path, keep: tuple[str, ...]) -> None:
-    """Make a folder to write into, empty but for what is gone on from, and mark it as ours."""
+    """Make a folder to write into, empty except for what a run resumes from, and mark it as ours."""
     if os.path.lexists(staged):
         _check_own(out, staged, keep)
         _empty(staged, () if _is_earlier(staged, out) else keep)
     staged.mkdir(exist_ok=True)
-    if not files.is_regular(staged / MANIFEST):  # in place at once: a kill leaves no folder without
+    if not files.is_regular(staged / MANIFEST):  # at once: a kill leaves no folder without one
         (staged / MANIFEST).write_text(json.dumps({"serial": serial_of(out) + 1, "files": []}))
 
 
 def _check_own(out: Path, staged: Path, keep: tuple[str, ...]) -> None:
-    """Raise OutputError for a folder that we did not make, or where what is gone on from is not ours."""
+    """Raise OutputError for a folder that we did not make, or that would resume from files not ours."""
     home = out if out.exists() else out.parent
     owners = {os.geteuid(), home.stat().st_uid}
     kept = [staged / name for name in keep if os.path.lexists(staged / name)]
@@ -156,7 +156,7 @@ def _check_own(out: Path, staged: Path, keep: tuple[str, ...]) -> None:
 
 
 def _empty(folder: Path, keep: tuple[str, ...]) -> None:
-    """Take away a folder of ours but for what is kept; its manifest last, by which it is known as ours."""
+    """Remove a folder of ours except for what is kept; the manifest, which marks it as ours, goes last."""
     if not folder.is_dir() or folder.is_symlink():
         return
     left = any(os.path.lexists(folder / name) for name in keep)
@@ -168,7 +168,7 @@ def _empty(folder: Path, keep: tuple[str, ...]) -> None:
 
 
 def _put_in_place(out: Path, staged: Path, add: bool) -> None:
-    """Write the manifest, have all on the disk, and exchange."""
+    """Write the manifest, flush all files to the disk, and exchange the folders."""
     new = sorted(str(path.relative_to(staged)) for path in staged.rglob("*") if files.is_regular(path))
     new.remove(MANIFEST)
     listed, serial = ({*own_files(out), *new}, serial_of(out)) if add else (new, serial_of(out) + 1)
@@ -182,7 +182,7 @@ def _put_in_place(out: Path, staged: Path, add: bool) -> None:
         _folder_to_disk(folder)
     if out.exists():
         if not add:
-            _check_ours(out)  # once more: what came meanwhile is not lost
+            _check_ours(out)  # checked again: no file that came meanwhile is lost
         shutil.copymode(out, staged)
         files.exchange(staged, out)
     else:
@@ -191,7 +191,7 @@ def _put_in_place(out: Path, staged: Path, add: bool) -> None:
 
 
 def _link_rest(out: Path, staged: Path, new: list[str]) -> None:
-    """Give the new folder all of ``out`` that new files do not replace; they replace none of others."""
+    """Link what new files do not replace from ``out`` to the new folder; no file of others is replaced."""
     mine, device = {MANIFEST, *own_files(out)}, out.stat().st_dev
     for name in (*new, MANIFEST):
         for path in (Path(name), *list(Path(name).parents)[:-1]):
@@ -217,7 +217,7 @@ def _added(out: Path) -> Path:
 
 
 def _mend(out: Path) -> None:
-    """End what a kill left: of :func:`exchange` where that takes three renames, and of files to add."""
+    """Clean up after a kill during an :func:`exchange` by three renames, or while files were added."""
     spare = files.spare_name(out)
     if spare.is_dir() and not spare.is_symlink() and not os.path.lexists(out):
         os.rename(spare, out)
@@ -243,5 +243,5 @@ def _told(expected: str) -> Iterator[None]:
 
 
 def _folder_to_disk(path: Path) -> None:
-    with contextlib.suppress(OSError):  # some systems cannot
+    with contextlib.suppress(OSError):  # some systems cannot flush folders
         files.to_disk(path)

@@ -1,4 +1,4 @@
-"""Whether a command's work fits into the memory of this machine and onto the disk, asked before it begins."""
+"""Check, before a command begins, that its work fits into the memory of this machine and onto the disk."""
 
 import math
 import os
@@ -12,13 +12,13 @@ PROCESS = 0.7  # GiB of a process that has loaded torch and Mitsuba
 
 
 def check_room(side: int, held: float, out: Path | None = None, written: float = 0.0) -> None:
-    """Raise ConfigError, naming what would fit, where a command cannot end for lack of memory or disk.
+    """Raise ConfigError, which names the size that would fit, where memory or disk do not suffice.
 
     Args:
-        side: texels or pixels a side of what it works on.
-        held: bytes of memory that it needs for each of them, as measured.
-        out: what it writes to; None: nothing large.
-        written: bytes that it writes for each of them.
+        side: texels or pixels along a side of what the command works on.
+        held: bytes of memory that each texel or pixel needs, as measured.
+        out: where the command writes; None: it writes nothing large.
+        written: bytes that the command writes for each texel or pixel.
     """
     memory = memory_gib()[1]
     rooms = [("memory", memory - PROCESS, held, PROCESS)]

@@ -1,6 +1,6 @@
 """Ctrl-C and SIGTERM: long work stops and keeps its result, short work and imports are not disturbed.
 
-It also has the lock for what a process has once.
+The module also has the lock for what exists once in a process.
 """
 
 import contextlib
@@ -33,7 +33,7 @@ def interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def still_waiting() -> bool:
-    """Whether a Ctrl-C met an import and was not raised yet; it is not tried again then."""
+    """Whether a Ctrl-C met an import and was not raised yet; if so, it is dropped."""
     waited, _waiting[:] = _waiting[:], []
     for again in waited:
         again.cancel()
@@ -66,7 +66,7 @@ def stop_signals() -> Iterator[list[int]]:
 
 @contextlib.contextmanager
 def deferred_signals() -> Iterator[None]:
-    """Ctrl-C and SIGTERM are heard once the block is done; of blocks inside each other, the outermost."""
+    """Defer Ctrl-C and SIGTERM to the end of the block; of nested blocks, to the end of the outermost."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -78,5 +78,5 @@ def deferred_signals() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    for each in sorted(heard, reverse=True):  # SIGTERM first; not after a failure, which says more
+    for each in sorted(heard, reverse=True):  # SIGTERM first; none after a failure, whose error says more
         signal.raise_signal(each)

@@ -1,4 +1,4 @@
-"""Standard streams of a command: closed or full ones neither end the work nor take the place of a file."""
+"""Standard streams of a command: a closed or full one neither ends the work nor sends output into a file."""
 
 import io
 import os
@@ -14,7 +14,7 @@ class Unfailing(io.FileIO):
     failure: OSError | None = None
 
     def write(self, data: Any, /) -> int:
-        """Bytes taken; all of them where there is nowhere to put them."""
+        """Write, and return the number of bytes taken; after a failure all of them, which are dropped."""
         if self.failure is None:
             try:
                 return super().write(data)
@@ -26,12 +26,12 @@ class Unfailing(io.FileIO):
 def guard_streams() -> None:
     """Let no standard stream of this process fail; call it before any file is opened.
 
-    The number of a closed stream is taken, else the next file would get it and hold what libraries print.
+    A closed stream's number is occupied: else the next file would get it, and with it what libraries print.
     """
     for number in (0, 1, 2):
         try:
             os.fstat(number)
-        except OSError:  # takes the lowest free number; writing to it fails as it would to a closed one
+        except OSError:  # takes the lowest free number; writing fails, as to a closed stream
             os.open(os.devnull, os.O_RDONLY)
     for name, number, errors in (("stdout", 1, "replace"), ("stderr", 2, "backslashreplace")):
         given = getattr(sys, name)
@@ -44,8 +44,8 @@ def guard_streams() -> None:
 def told(code: int) -> int:
     """Say where standard output is cut short; returns the exit code for a command that ended with ``code``.
 
-    A reader that has seen enough cuts nothing short. Without a written file, standard output was the result:
-    success becomes 2.
+    A closed pipe does not count: the reader has seen enough. If no file was written, standard output was the
+    result, and success becomes 2.
     """
     sys.stdout.flush()
     raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)

@@ -26,7 +26,7 @@ def spread(seconds: Sequence[float]) -> dict[str, float]:
 
 def in_turns(jobs: Mapping[K, Callable[[], T]], repeats: int,
              report: Callable[[float], object] = lambda share: None) -> dict[K, list[T]]:
-    """What each job returned, run in turn with all others: drift of the machine hits all alike."""
+    """What each job returned. Jobs run in turn, ``repeats`` times: drift of the machine hits all alike."""
     found: dict[K, list[T]] = {name: [] for name in jobs}
     for turn in range(repeats):
         for number, (name, job) in enumerate(jobs.items(), 1):

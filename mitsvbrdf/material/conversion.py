@@ -1,7 +1,7 @@
-"""Maps of one BSDF as those of the other; base colour and metallic hold less than diffuse and F0.
+"""Convert the maps of one BSDF to the other; base colour and metallic hold less than diffuse and F0.
 
-A metal/rough material has diffuse b (1 - m) and F0 = b m + 0.04 (1 - m): four numbers for six. The way back
-is :meth:`mitsvbrdf.material.maps.SVBRDF.as_roughconductor`.
+A metal/rough material has diffuse b (1 - m) and F0 = b m + 0.04 (1 - m): four numbers in place of six. The
+inverse is :meth:`mitsvbrdf.material.maps.SVBRDF.as_roughconductor`.
 """
 
 import torch
@@ -9,11 +9,11 @@ from torch import Tensor
 
 from .maps import DIELECTRIC_F0, SVBRDF
 
-# Between what reflects most without being a metal (diamond, 0.17) and least being one (0.4 and more in the
+# Between the highest F0 of a non-metal (diamond, 0.17) and the lowest of a metal (0.4 and more in the
 # strongest channel).
 METAL_F0 = 0.25
 DIELECTRICS = 0.02, 0.17  # F0 of water and of diamond
-FULL_LEVEL = 0.08  # F0 of specular level 1, in Blender, Unreal and Substance; 0.5 is 0.04
+FULL_LEVEL = 0.08  # F0 of specular level 1, in Blender, Unreal and Substance; level 0.5 has 0.04
 # largest diffuse colour of a metal, as a share of its F0: a bare metal has none, a fit leaves a little
 METAL_DIFFUSE = 0.25
 
@@ -26,11 +26,11 @@ def is_metal(svbrdf: SVBRDF) -> Tensor:
 
 
 def as_principled(svbrdf: SVBRDF) -> SVBRDF:
-    """Base colour (F0 of metals, else diffuse) and metallic (0 or 1); a principled one as it is.
+    """Convert to base colour (F0 of metals, else diffuse) and metallic (0 or 1); a principled one stays.
 
-    The metallic between 0 and 1 that is nearest to both maps would turn a red card with an F0 of 0.1 into
-    three quarters of a metal, whose colour is in the highlight: under oblique light it is black. Lost are the
-    F0 of what is no metal, which comes out as 0.04, and the diffuse light of metals.
+    A metallic between 0 and 1, fitted to both maps, would make a red card with an F0 of 0.1 three quarters of
+    a metal. The card's colour would then be in the highlight, and the card black under oblique light. The
+    conversion loses the F0 of non-metals, which becomes 0.04, and the diffuse light of metals.
     """
     if svbrdf.bsdf == "principled":
         return svbrdf
@@ -43,9 +43,9 @@ def as_principled(svbrdf: SVBRDF) -> SVBRDF:
 def layered(svbrdf: SVBRDF, f0: Tensor) -> SVBRDF:
     """Base colour and metallic for clients whose highlight leaves 1 - F0 of the diffuse light.
 
-    Of all but metals the base colour is the diffuse colour divided by that: seen from above, the diffuse
-    light is ours. ``f0`` (broadcast to R x R x 1) is what the client knows of what is no metal. Cut are base
-    colours above 1, of texels that reflect more light than arrives.
+    The base colour of a non-metal is its diffuse colour over 1 - F0: seen from above, the diffuse light is
+    ours. ``f0`` (broadcast to R x R x 1) is the F0 that the client has for non-metals. Base colours above 1
+    are cut: these texels reflect more light than arrives.
     """
     material = as_principled(svbrdf)
     base = (svbrdf["diffuse"] / (1 - f0).clamp_min(1e-6)).clamp_max(1.0)
@@ -60,15 +60,14 @@ def usual_f0(svbrdf: SVBRDF) -> float:
 
 
 def relative_f0(svbrdf: SVBRDF, level: float) -> Tensor:
-    """F0 over the level that a client has for all, R x R x 3; 1 where a metal is."""
+    """F0 divided by the one level that a client has for all texels, R x R x 3; 1 at metals."""
     return torch.where(is_metal(svbrdf), 1.0, svbrdf["specular"] / level)
 
 
 def as_shown(material: SVBRDF, f0: Tensor, taken: Tensor) -> SVBRDF:
     """What a layering client shows of a ``principled`` material from above: inverts :func:`layered`.
 
-    ``f0`` is that of what is no metal, ``taken`` the share of light that the highlight takes from the
-    diffuse.
+    ``f0`` is the F0 of non-metals, ``taken`` the share of diffuse light that the highlight takes.
     """
     base, metallic = material["base_color"], material["metallic"]
     return SVBRDF("roughconductor", {"diffuse": base * (1 - metallic) * (1 - taken),

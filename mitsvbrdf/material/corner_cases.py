@@ -1,4 +1,4 @@
-"""The materials of a cross-check: made ones, corner cases, and the same maps as the other BSDF."""
+"""The materials of a cross-check: made ones, corner cases, and their maps converted to the other BSDF."""
 
 import torch
 import torch.nn.functional as F
@@ -29,8 +29,8 @@ def builtin_materials(resolution: int = 128) -> dict[str, SVBRDF]:
 def corner_materials(resolution: int = 128) -> dict[str, SVBRDF]:
     """Materials at the ends of their ranges, ``roughconductor``, R x R x C, float32; the first is flat.
 
-    ``polished`` goes below roughness 0.1, where no tolerance is stated, down to the 0.02 that ``principled``
-    cuts.
+    ``polished`` goes below roughness 0.1, where no tolerance is stated, down to 0.02, which ``principled``
+    clamps.
     """
     waves = _waves(resolution, 8.5)
     return {
@@ -53,7 +53,7 @@ def _material(normal: Tensor, **values: float | tuple[float, ...] | Tensor) -> S
 
 
 def _waves(resolution: int, degrees: float) -> Tensor:
-    """Normals of crossed waves, 3 and 4 over the patch, tilted by up to ``degrees`` on either axis."""
+    """Normals of crossed waves, 3 along x and 4 along y, tilted by up to ``degrees`` on either axis."""
     x, y, _ = texel_positions(resolution).unbind(-1)
     steep = torch.tan(torch.deg2rad(torch.tensor(degrees, dtype=torch.float64)))
     normal = torch.stack((steep * torch.sin(6 * torch.pi * x), steep * torch.sin(8 * torch.pi * y + 1),

@@ -1,4 +1,4 @@
-"""How files of maps are encoded, as ``material.json`` or the user states, and as each library has it."""
+"""Encodings of map files: as ``material.json`` or the user states them, in the words of each library."""
 
 import re
 from difflib import get_close_matches
@@ -21,7 +21,7 @@ _CONVENTIONS = {"dx": r"\bdx\b|directx|d3d|[+]?\s*y\s*down|-\s*y", "gl": r"\bgl\
 def read_material_json(folder: Path) -> dict:
     """What ``material.json`` in a folder says, or an empty dict where there is none.
 
-    Its ``encoding`` has our names of maps and encodings, and ``gl`` or ``dx`` for normals.
+    The ``encoding`` in it has our names of maps and encodings, and ``gl`` or ``dx`` for normals.
     """
     path = Path(folder) / "material.json"
     if not path.is_file():
@@ -43,7 +43,7 @@ def read_material_json(folder: Path) -> dict:
 
 
 def asked_codes(encoding: str | None, normal: NormalConvention | None) -> dict[str, str]:
-    """Encodings by map, of ``linear`` for all, or of ``roughness=linear,normal=dx``."""
+    """Encodings by map, from a text such as ``linear`` (for all) or ``roughness=linear,normal=dx``."""
     asked: dict[str, str] = {}
     try:
         for item in (encoding or "").split(",") if encoding is not None else []:

@@ -24,7 +24,7 @@ LARGEST = 2**30  # bytes of a file
 def gltf_set(path: Path, spare: Path) -> MapSet:
     """The one material of a file; textures inside it become files in the folder ``spare``.
 
-    MapsError: another file, several materials, or what the reader does not know.
+    MapsError: not a glTF file, several materials, or a feature that the reader does not know.
     """
     try:
         document, binary = _parts(path)
@@ -108,7 +108,7 @@ def _found(path: Path, document: dict, material: dict, binary: bytes, spare: Pat
 
 
 def placed_alike(path: Path, placed: Mapping[str, str]) -> list[str]:
-    """What to say of how textures, by name, are placed, which our maps are not; no two may differ."""
+    """Remarks on the placement of textures (by name), which our maps lack; MapsError where two differ."""
     ways = set(placed.values())
     if len(ways) > 1:
         said = ", ".join(f"{name} ({way or 'as it is'})" for name, way in placed.items())

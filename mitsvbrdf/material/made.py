@@ -1,9 +1,9 @@
 """Materials made by code: for the demo, the tests and a newcomer's first fit. Nothing is downloaded.
 
-Each is a function of continuous patch coordinates and a random generator, so every resolution shows the same
-structure. It is drawn with two or more samples along a texel and area-averaged; relief is a height in patch
-sides. The brushes come first: coordinates are patch sides around the centre, and a :class:`Paint` becomes
-maps by :func:`painted`.
+Each material is a function of continuous patch coordinates and a random generator, so every resolution shows
+the same structure. It is drawn with two or more samples along a texel and area-averaged; relief is a height
+in patch sides. The brushes come first. Their coordinates are patch sides from the centre; :func:`painted`
+turns a :class:`Paint` into maps.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ STEEPEST = math.tan(math.radians(30))
 
 
 def painted(paint: Paint) -> dict[str, Tensor]:
-    """The maps of rows of a painted material at its resolution, cut as :func:`make_material` says."""
+    """The maps of some rows of a painted material, clamped as :func:`make_material` says."""
     down, right = torch.gradient(paint.height, spacing=1 / paint.height.shape[1])
     slope = torch.stack((right, -down), dim=-1)
     slope = slope * (STEEPEST / slope.norm(dim=-1, keepdim=True).clamp_min(STEEPEST))
@@ -49,7 +49,7 @@ class Paint:
 
     def add(self, mask: Tensor | float, diffuse: Value, specular: Value, roughness: Value,
             height: Tensor | float) -> Paint:
-        """Cover by ``mask`` (R x R); values are numbers, colours, R x R or R x R x 3."""
+        """Paint over with the opacity ``mask`` (R x R); values are numbers, colours, R x R or R x R x 3."""
         mask = torch.as_tensor(mask).expand_as(self.height)
         for name, new in {"diffuse": diffuse, "specular": specular, "roughness": roughness}.items():
             new = torch.as_tensor(new)
@@ -72,7 +72,7 @@ def noise(x: Tensor, y: Tensor, cells: int, rng: Generator, octaves: int = 4) ->
 
 
 def cell_borders(x: Tensor, y: Tensor, n: int, rng: Generator) -> Tensor:
-    """Distance to the border of a Worley cell, of n x n: half the difference to the second seed."""
+    """Distance to the border of a Worley cell (n x n cells): (second - nearest seed distance) / 2."""
     seeds = torch.rand(n + 2, n + 2, 2, generator=rng)
     u, v = (x.clamp(-0.499, 0.499) + 0.5) * n, (y.clamp(-0.499, 0.499) + 0.5) * n
     i, j = u.long(), v.long()

@@ -33,13 +33,13 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
               normal: NormalConvention | None = None) -> SVBRDF:
     """Read a set of maps.
 
-    Understood: our own folders, and names of libraries and programs (words of ``names.toml``) with prefixes,
-    sizes and packed channels; the field's four images and strips. EXR is preferred over PNG. A folder that
-    has ``maps/`` inside, or no maps but ``textures/``, stands for that. docs/formats.md has the list.
+    It reads our own folders; names of libraries and programs (words of ``names.toml``) with prefixes, sizes
+    and packed channels; and the field's four images and strips. EXR is preferred over PNG. A folder stands
+    for the ``maps/`` in it, or for its ``textures/`` if it has no maps. docs/formats.md has the list.
 
     Args:
-        folder: the folder (of a strip: as ``tex.png`` or ``strip.png``), or a .glb, .gltf or .mtlx file of
-            one material, or the image of a strip; a .mtlx in a folder is followed before its names.
+        folder: the folder; a .glb, .gltf or .mtlx file of one material; or the image of a strip. In a folder,
+            a strip is ``tex.png`` or ``strip.png``, and a .mtlx is preferred to the files' names.
         bsdf: which set to read where both are there; default: what material.json says, else ``principled``
             where base_color and metallic are there. A specular level makes that a ``roughconductor``.
         encoding: of files of 8 and 16 bits: ``linear``, ``gamma 2.2`` or ``srgb``, or by map
@@ -72,7 +72,7 @@ def _found(path: Path, encoding: str | None, normal: NormalConvention | None = N
 
 
 def _set_of(path: Path, last: contextlib.ExitStack) -> MapSet:
-    """The set of a document, of that in a folder, or of a folder by its names."""
+    """The set of a document, of the document in a folder, or of a folder by the files' names."""
     if path.suffix.lower() in (".glb", ".gltf") and path.is_file():
         return gltf_set(path, Path(last.enter_context(tempfile.TemporaryDirectory())))
     if path.suffix.lower() in SUFFIXES and path.is_file():

@@ -1,4 +1,4 @@
-"""The files of a material, found and read: from folders by their names, each file as its encoding says."""
+"""Find the files of a material in a folder by their names, and read each file as its encoding says."""
 
 import warnings
 from collections.abc import Mapping
@@ -20,14 +20,14 @@ from .naming import ALPHA, FIELD, Source, is_of_field, kind_of, named_sources, s
 from .normals import OVERRULE, unit_normals
 from .resample import resized
 
-LEAST_ROUGHNESS = 1 / 512  # half a step of 8 bits: what the writer of a roughness of 0 rounded away at most
-RINGING = 0.05  # how far lossy coders of EXR leave [0, 1]
-TINT = 0.05  # mean difference of channels that no grey map has: several maps are packed in it
+LEAST_ROUGHNESS = 1 / 512  # half an 8-bit step: the most that rounding to a stored roughness of 0 took away
+RINGING = 0.05  # how far outside of [0, 1] lossy coders of EXR may go
+TINT = 0.05  # mean difference of channels; above it a picture is coloured, or packs several maps
 LOWEST_F0 = 0.01  # half that of water
 USUAL_SIDE = 64  # texels of a material without a texture
 STRIPS = "tex.png", "strip.png"  # names of strips of maps in folders
-# Maps of a strip from left to right by the place of the normals, and how 8 bits are read: Deschaintre 2018's,
-# also with an input photo before them, and MaterialGAN's.
+# ORDERS has the maps of a strip from left to right by the place of the normals, and how 8 bits are read: 0 is
+# Deschaintre 2018's, also with an input photo before them, 1 is MaterialGAN's.
 FLAT = 0.5, 0.5, 1.0  # normals as stored
 DESCHAINTRE = "normal", "diffuse", "roughness", "specular"
 ORDERS = {0: (DESCHAINTRE, "linear"), 1: (("diffuse", "normal", "roughness", "specular"), "gamma 2.2")}
@@ -37,18 +37,18 @@ class MapSet(NamedTuple):
     """The files of a material before they are read."""
 
     place: Path  # the folder or file they were found in
-    sources: Mapping[str, Source]  # by map; f0 is that of what is no metal
+    sources: Mapping[str, Source]  # by map; f0 is the F0 of non-metals
     stated: Mapping[str, str]  # encodings by map, as the user or material.json states them
     habit: str = "srgb"  # the encoding of all others, a key of ENCODINGS
     bsdf: Bsdf | None = None  # what material.json says
     passed: tuple[str, ...] = ()  # names of what is not read
-    taken: float | None = None  # the share of light that the highlight takes from the diffuse; None: the F0
+    taken: float | None = None  # the share of diffuse light that the highlight takes; None: the F0
     remarks: tuple[str, ...] = ()  # what is said of a document
-    way: str = OVERRULE  # how the user overrules an encoding, which stands in {}
+    way: str = OVERRULE  # how the user overrules an encoding; {} stands for the encoding
 
     def code(self, name: str) -> str:
-        """The encoding of a map's file, linear of EXR, or the convention of normals. A profile of colours,
-        from which they are converted to sRGB, goes before a habit.
+        """The encoding of a map's file, linear for EXR; of normals, the convention. A colour profile, whose
+        colours are converted to sRGB, goes before a habit.
         """
         usual, path = ENCODINGS[self.habit], self.sources.get(name, Source(None)).path
         if name != "normal" and path and path.suffix.lower() == ".exr":
@@ -59,11 +59,11 @@ class MapSet(NamedTuple):
         return self.stated.get(name, usual.get(name, "" if name == "normal" else "linear"))
 
     def read(self, name: str, channels: int) -> Tensor:
-        """A map, linear, H x W x channels; 1 x 1 of a constant."""
+        """A map, linear, H x W x channels; a constant is 1 x 1 x channels."""
         source = self.sources[name]
         if source.path is None:
             return torch.tensor(source.factor).expand(1, 1, channels)
-        document = self.place.is_file() and source.part is None  # which alone says what colours are
+        document = self.place.is_file() and source.part is None  # a document alone says what colours are
         value = read_map(source, name, channels, self.code(name), self.way, document)
         return value if source.factor == (1.0,) else value * torch.tensor(source.factor)
 
@@ -93,7 +93,7 @@ def find_maps(folder: Path) -> MapSet:
 def strip_set(path: Path, stated: Mapping[str, str]) -> MapSet:
     """Four square maps side by side in one file, or five pictures of which the last four are maps.
 
-    The normals tell the order: of the first two maps they are the one that is more as flat ones are.
+    The normals tell the order: of the first two maps they are the one whose mean is nearer to flat.
     MapsError: another number of squares.
     """
     image = images.read_image(path, MapsError, data=True)
@@ -142,7 +142,7 @@ def _has_lobes(found: MapSet) -> bool:
 
 
 def _read(found: MapSet, bsdf: Bsdf, f0: str = "") -> SVBRDF:
-    """The maps of a parameter set; with ``f0`` those that a base colour shows beside it."""
+    """The material of a parameter set; with ``f0`` (the name of an F0 map), as diffuse and specular."""
     channels, there = dict(CHANNELS[bsdf]), found.sources
     for name in channels:
         if name not in there:
@@ -157,7 +157,7 @@ def _read(found: MapSet, bsdf: Bsdf, f0: str = "") -> SVBRDF:
     _say(found, {name: there[name] for name in channels}, maps)
     if not f0:
         return SVBRDF(bsdf, maps)
-    dielectric, most = maps.pop(f0), FULL_LEVEL if found.place.is_dir() else torch.inf  # documents cut it
+    dielectric, most = maps.pop(f0), FULL_LEVEL if found.place.is_dir() else torch.inf  # a document's is cut
     if dielectric.min() < 0 or dielectric.max() > most:
         raise MapsError("a specular level in [0, 1]", str(there[f0].path or "numbers"), "check its encoding")
     dielectric = dielectric.clamp_max(1)
@@ -166,7 +166,7 @@ def _read(found: MapSet, bsdf: Bsdf, f0: str = "") -> SVBRDF:
 
 
 def _of_one_size(found: MapSet, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Square maps of one size: those of a document are brought to the largest, constants to all."""
+    """Square maps of one size: a document's maps are resized to the largest, constants to the common one."""
     sizes = {tuple(value.shape[:2]) for value in maps.values()} - {(1, 1)} or {(USUAL_SIDE, USUAL_SIDE)}
     side = max(max(sizes))
     if len(set().union(*sizes)) > 1 and not (found.place.is_file() and all(h == w for h, w in sizes)):
@@ -177,7 +177,7 @@ def _of_one_size(found: MapSet, maps: Mapping[str, Tensor]) -> dict[str, Tensor]
 
 
 def _say(found: MapSet, used: Mapping[str, Source], maps: Mapping[str, Tensor]) -> None:
-    """In one line what is assumed of a set, what is missing, and what is passed over."""
+    """Warn in one line of what is assumed of a set, what is missing, and what is passed over."""
     named = {name: source.path.name for name, source in used.items() if source.path}
     coded = {name: found.code(name) for name, file in named.items()
              if name != "normal" and name not in found.stated and not file.lower().endswith(".exr")}
@@ -213,7 +213,7 @@ def _say(found: MapSet, used: Mapping[str, Source], maps: Mapping[str, Tensor]) 
 
 
 def read_file(path: Path, name: str, channels: int) -> Tensor:
-    """One map from a file of any name: as in a set of its own, with ``material.json`` beside it."""
+    """One map from a file of any name, read as a set of this file and the ``material.json`` beside it."""
     held = named_sources(path)
     plain = not held or path.stem.lower() in FIELD.get(name, ())
     stated = read_material_json(path.parent).get("encoding", {})
@@ -227,8 +227,8 @@ def read_file(path: Path, name: str, channels: int) -> Tensor:
 def read_map(source: Source, name: str, channels: int, code: str, way: str = OVERRULE, document: bool = False
              ) -> Tensor:
     """One map from its file, linear, H x W x ``channels``. ``code`` is the encoding of a file of 8 or 16
-    bits; of normals ``gl``, ``dx`` or empty. Beside another one than sRGB, and in a ``document``, a profile
-    of the file does not count.
+    bits; of normals ``gl``, ``dx`` or empty. The file's profile does not count with another code than sRGB,
+    nor in a ``document``.
     """
     assert source.path is not None
     path, exr = source.path, source.path.suffix.lower() == ".exr"
@@ -257,7 +257,7 @@ def read_map(source: Source, name: str, channels: int, code: str, way: str = OVE
     image = 1 - image if source.inverted else image
     low = float(image.min())
     image = _without_ringing(image, path) if exr else image
-    # 8-bit files and ringing can leave a roughness of 0: half a step up is what was rounded away at most
+    # 8-bit files and ringing can leave a roughness of 0: rounding took at most the half step put back here
     mirror = name == "roughness" and (not exr or low < 0 <= float(image.min()))
     return image.clamp_min(LEAST_ROUGHNESS) if mirror else image
 
@@ -267,7 +267,7 @@ def _tint(image: Tensor) -> float:
 
 
 def _without_ringing(image: Tensor, path: Path) -> Tensor:
-    """Values of an EXR slightly outside of [0, 1], as lossy coders leave them, cut with a word."""
+    """Clamp an EXR's values slightly outside of [0, 1], as lossy coders leave them, with a warning."""
     low, high = float(image.min()), float(image.max())
     if 0 <= low and high <= 1 or not -RINGING <= low or not high <= 1 + RINGING:
         return image

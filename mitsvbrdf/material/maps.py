@@ -115,7 +115,7 @@ class SVBRDF:
                                      "mend or re-export the map")
 
     def check(self) -> SVBRDF:
-        """Itself, when every value is finite and in range; else MapsError naming map, texel and value."""
+        """Itself, when every value is finite and in range; else MapsError names the map and the values."""
         self.check_finite()
         for name, value in self.maps.items():
             if name == "normal":
@@ -184,7 +184,7 @@ def flat(resolution: int, bsdf: Bsdf = "roughconductor", dtype: torch.dtype = to
 
 
 def finite(value: Tensor) -> bool:
-    """Whether a tensor holds no NaN and no infinity; beside it, no memory is needed."""
+    """Whether a tensor holds no NaN and no infinity; this needs no memory beside the tensor."""
     if not value.is_floating_point() or not value.numel():
         return True
     return bool(torch.stack(value.detach().aminmax()).isfinite().all())
@@ -198,7 +198,7 @@ def shown_map(name: str, value: Tensor) -> Tensor:
 
 
 def numbers_of(name: str, value: Tensor) -> Tensor:
-    """A map in the numbers errors are counted in; of a normal, x and y."""
+    """A map in the values that errors are measured in (colours encoded); of a normal, x and y."""
     if name == "normal":
         return (value[..., :2] + 1) / 2
     return color.encode(value) if name in COLOURS else value

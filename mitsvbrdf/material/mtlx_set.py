@@ -41,7 +41,7 @@ class _Document:
         self.code, self.normal = "linear", "gl"
 
     def material(self) -> MapSet:
-        """Its maps, each from its input of the one surface shader."""
+        """The document's maps, each from an input of the one surface shader."""
         wired = [_inputs(node)["surfaceshader"] for node in self.root if node.tag == "surfacematerial"]
         shaders = [_named(self.root, entry.get("nodename")) for entry in wired] or [
             node for node in self.root if node.tag in SURFACES]
@@ -93,7 +93,7 @@ class _Document:
         return _channel(found, entry.get("channel") or entry.get("channels") or "")
 
     def node(self, node: ET.Element, output: str) -> Source:
-        """What a node gives: an image, a channel of it, or that times numbers."""
+        """What a node outputs: an image or a channel of one, possibly times numbers."""
         inputs, kind, said = _inputs(node), node.tag, f"{node.tag} {node.get('name')!r}"
         if kind in NODES["images"].split():
             return _channel(self.image(node, inputs), output)
@@ -165,7 +165,7 @@ def _channel(source: Source, name: str) -> Source:
 
 
 def _times(one: Source, other: Source) -> Source:
-    """A product of which one is a number, or three."""
+    """The product of two sources, of which at least one is a number, or three numbers."""
     if one.path and other.path:
         raise ValueError(f"a product of two images, {one.path.name} and {other.path.name}")
     size = max(len(one.factor), len(other.factor))

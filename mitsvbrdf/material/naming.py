@@ -1,4 +1,4 @@
-"""Which file of a folder is which map: names as libraries of textures, programs and the field give them."""
+"""Which file of a folder is which map, by the names that texture libraries, programs and the field give."""
 
 import os
 import re
@@ -16,7 +16,7 @@ SURFACES: dict[str, dict[str, tuple[str, float]]] = NAMES["shaders"]  # inputs a
 # The field's names. Their 8-bit files have gamma 2.2 where nothing else is stated.
 FIELD = {"diffuse": ("diffuse", "dif"), "specular": ("specular", "spe"), "roughness": ("roughness", "rgh"),
          "normal": ("normal", "nom", "normal_dx", "nom_dx")}
-# Of images, the best first.
+# Suffixes of images, the best first.
 SUFFIXES = (".exr", ".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".tga", ".bmp", ".hdr")
 
 _CODES = NAMES["encodings"]["srgb"]
@@ -31,7 +31,7 @@ PACKED = {word: tuple(_LETTERS[letter] for letter in word)
 PACKED["maskmap"] = "metallic", "occlusion", "other", "glossiness"  # of Unity
 SIZES = re.compile(r"(?i)(?<![a-z0-9])(\d{1,2}k|\d{3,4}(x\d{3,4})?|jpe?g|png|exr|tiff?)(?![a-z0-9])")
 GLTF_PACKED = "other", "roughness", "metallic"
-ALPHA = 3  # the channel of it
+ALPHA = 3  # index of the alpha channel
 
 
 class Source(NamedTuple):
@@ -46,8 +46,8 @@ class Source(NamedTuple):
 
 
 def kind_of(stem: str, dropped: int = 0) -> tuple[str, ...]:
-    """The map that a file's name (without suffix) means, or those of its three or four channels; nothing
-    where it means none. So many words at its beginning are not looked at.
+    """The map that a file's name (without suffix) means, or the maps of its three or four channels; empty
+    where it means none. The first ``dropped`` words of the name are ignored.
     """
     parts = words(stem)[dropped:]
     for end in (1, 2):
@@ -82,8 +82,8 @@ def sources(folder: Path) -> tuple[dict[str, Source], list[Path]]:
     """Maps by kind (those of SVBRDFs, and ``specular_level``), and the images that are none of them;
     MapsError for two files of one map.
 
-    Names that the files have in common, such as the material's, mean nothing: ``rusty_metal_rough`` beside
-    ``rusty_metal_diff`` is a roughness.
+    Words that the names begin with in common, such as the material's, mean nothing: ``rusty_metal_rough``
+    beside ``rusty_metal_diff`` is a roughness.
     """
     images = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.name[0] != "."
                     and p.is_file())
@@ -117,7 +117,7 @@ def named_sources(path: Path, dropped: int = 0) -> dict[str, Source]:
 
 
 def _in_common(stems: list[str]) -> int:
-    """How many words all names begin with; one that has no other word is a preview."""
+    """How many words all names begin with; a name without any other word is a preview's."""
     each = sorted(map(words, stems), key=len)
     first = os.path.commonprefix(each)
     if len(each) > 2 and len(each[1]) > len(each[0]) == len(first):

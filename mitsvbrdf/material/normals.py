@@ -13,19 +13,19 @@ from .maps import LOWEST_Z
 
 # Normals of published maps point into the surface at up to 0.2 % of the texels: noise of networks, empty
 # corners.
-FEW = 0.01  # share of the texels at which that is mended; a map with more is in another convention
-RAISED = 1 / 255  # their z: the lowest above 0 that an 8-bit file holds
-GREY = 0.1  # difference of channels that half the texels of a normal map exceed: straight up has 0.5
-LENGTH = 0.25  # how far half the vectors may be from length 1; in the worst of sixty published maps 0.04
-# A third channel of this range holds nothing, beside x and y of four times the range: it is 0 there, or the
-# vectors are off length 1 by more than the 8 bits of gentle slopes explain.
+FEW = 0.01  # share of texels up to which that is mended; a map with more has another convention
+RAISED = 1 / 255  # the z they are given: the lowest above 0 that an 8-bit file holds
+GREY = 0.1  # half the texels of a normal map have channels that differ by more: straight up by 0.5
+LENGTH = 0.25  # largest median of |length - 1|; the worst of sixty published maps has 0.04
+# A third channel that ranges over EMPTY at most holds nothing if x or y ranges over more than 4 EMPTY, and it
+# is 0 or lengths are off 1 by more than SLOPPY on average, which 8 bits do not explain on gentle slopes.
 EMPTY, SLOPPY = 2 / 255, 0.02
 
-# The curl of slopes is 0 with the right sign of y. A sign is proven where it leaves less than a quarter of
-# the curl's energy that the other leaves; DirectX where nearly all blocks agree, too.
+# The curl of slopes is 0 with the right sign of y. A sign is proven where the energy of its curl is less than
+# a quarter of the other sign's; DirectX only if nearly all blocks agree, too.
 PROVEN, AGREED, BLOCKS = 1 / 4, 0.9, 8
 LEVEL = 1 / 255  # mean slope along y below which its sign hardly shows
-OVERRULE = "--encoding {} (or material.json)"  # how the user does that
+OVERRULE = "--encoding {} (or material.json)"  # how the user overrules a convention
 BAND = 64  # rows that are looked at together
 STEEPEST = 0.05  # smallest z that slopes are computed with
 
@@ -33,9 +33,9 @@ STEEPEST = 0.05  # smallest z that slopes are computed with
 def unit_normals(image: Tensor, path: Path, convention: str = "", way: str = OVERRULE) -> Tensor:
     """Unit normals, +Y up, H x W x 3, of what a file holds.
 
-    Understood are (n + 1) / 2, signed vectors of EXR files, and x and y alone. A convention is ``gl`` or
-    ``dx`` where it is stated; else the curl decides. MapsError: no normals. MapsWarning: DirectX was found by
-    its curl, or is possible; a few normals were lifted. The image is written into.
+    Understood are (n + 1) / 2, signed vectors of EXR files, and x and y alone. ``convention`` is ``gl`` or
+    ``dx`` where it is stated; else the curl decides. MapsError: no normals. MapsWarning: the curl found
+    DirectX, or leaves it possible; a few normals were lifted. The image is overwritten.
     """
     normal = _vectors(image, path)
     for rows in normal.split(BAND):
@@ -51,9 +51,9 @@ def unit_normals(image: Tensor, path: Path, convention: str = "", way: str = OVE
 
 
 def directx_by_curl(normal: Tensor) -> bool | None:
-    """Whether a field of normals is one of slopes with y turned around only; None: its slopes do not tell.
+    """Whether normals fit a surface only with y turned around; None: the slopes do not tell.
 
-    Of heights h, the slopes p = dh/dx and q = dh/dy have dp/dy = dq/dx.
+    The slopes p = dh/dx and q = dh/dy of heights h satisfy dp/dy = dq/dx.
     """
     slopes = -normal[..., :2].float() / normal[..., 2:].float().clamp_min(STEEPEST)
     across, up = slopes[..., 1].diff(dim=1), -slopes[..., 0].diff(dim=0)  # dq/dx, dp/dy; rows go down

@@ -9,20 +9,20 @@ from torch import Tensor
 
 from .resample import enlarged
 
-# slope of a relief, 84 degrees: a texel whose normal lies down would stand hundreds of patch sides high
+# largest slope, 84 degrees: else a texel with a normal in the plane would rise hundreds of patch sides
 STEEPEST = 10.0
 DIRECTIONS = 16  # around a texel, in which its horizon is looked for
-FINEST = 512  # texels a side that occlusion is computed of; larger ones are averaged, and it is enlarged
-FARTHEST = 0.25  # of what may hide the sky, in patch sides
+FINEST = 512  # most texels a side for occlusion; larger reliefs are reduced first, the result enlarged
+FARTHEST = 0.25  # distance of what may hide the sky, in patch sides
 
 
 def heights(normal: Tensor, periodic: bool = False) -> Tensor:
-    """Heights with the normals' slopes in least squares: R x R in patch sides, mean 0.
+    """Heights whose slopes fit the normals in least squares: R x R in patch sides, mean 0.
 
-    Between neighbours the slope is the mean of theirs; at the border it is free. That is Poisson's equation
-    with Neumann's condition, solved exactly by a cosine transform (Simchony, Chellappa and Shao 1990, after
-    Frankot and Chellappa 1988). Slopes above :data:`STEEPEST` are cut. Of a periodic material the last texel
-    goes on in the first; the slope of the whole is lost.
+    The slope between two neighbours is the mean of theirs; at the border it is free. This is Poisson's
+    equation with Neumann's condition, solved exactly by a cosine transform (Simchony, Chellappa and Shao
+    1990, after Frankot and Chellappa 1988). Slopes above :data:`STEEPEST` are cut. In a periodic material the
+    last texel continues in the first; the slope of the whole is lost.
     """
     size, z = len(normal), normal[..., 2].double().clamp_min(1 / STEEPEST)
     right, down = -normal[..., 0].double() / z / size, normal[..., 1].double() / z / size
@@ -42,7 +42,7 @@ def heights(normal: Tensor, periodic: bool = False) -> Tensor:
 
 
 def _laplacian(rows: int, step: float, columns: int = 0) -> Tensor:
-    """What the discrete Laplacian makes of waves of rising frequency; of the constant one, infinity."""
+    """Eigenvalues of the discrete Laplacian for waves of rising frequency; infinity for the constant."""
     down, right = (2 * torch.cos(torch.arange(count, dtype=torch.float64) * step) - 2
                    for count in (rows, columns or rows))
     laplacian = down[:, None] + right
@@ -53,15 +53,15 @@ def _laplacian(rows: int, step: float, columns: int = 0) -> Tensor:
 def occlusion(height: Tensor, periodic: bool = False) -> Tensor:
     """Share of an even sky's light that each texel of a relief sees, R x R in [0, 1].
 
-    The highest slope to what lies within :data:`FARTHEST` is the horizon of a direction; a flat texel gets
-    cos^2 of its angle of the light from there, averaged over :data:`DIRECTIONS`. Heights are R x R in patch
-    sides, row 0 at the top; beyond the border they go on as they end, or begin anew where ``periodic``.
+    The horizon of a direction is the steepest slope up to any point within :data:`FARTHEST`. Of the light
+    from there a flat texel gets cos^2 of the horizon's elevation, averaged over :data:`DIRECTIONS`. Heights
+    are R x R in patch sides, row 0 at the top; outside they stay constant, or repeat if ``periodic``.
 
     Source: Bavoil, Sainz and Dimitrov 2008, "Image-space horizon-based ambient occlusion".
     """
     size = len(height)
     if size > FINEST:
-        # Smoothly, for area averages over 1 and 2 texels in turn would make steps.
+        # Bilinear, since area averages over 1 and 2 texels in turn would make steps.
         coarse = F.interpolate(height[None, None], (FINEST, FINEST), mode="bilinear", antialias=True)[0, 0]
         return enlarged(occlusion(coarse, periodic)[None], size)[0]
     rim = max(1, round(FARTHEST * size))

@@ -11,7 +11,7 @@ from torch import Tensor
 def resized(images: Tensor, side: int, rows: int | None = None) -> Tensor:
     """Images (R x R x C, or N of them) in ``side`` pixels a side: area averages down, bilinear up.
 
-    ``rows``: of images that are not square, in so many rows of ``side`` pixels.
+    ``rows``: rows of the result, where the images are not square.
     """
     how = {"mode": "area"} if side <= images.shape[-2] else {"mode": "bilinear", "align_corners": False}
     return _interpolated(images, (rows or side, side), **how)
@@ -24,7 +24,7 @@ def area_averaged(images: Tensor, side: int) -> Tensor:
 
 
 def averaged_rows(part: Callable[[slice], Tensor], count: int, side: int) -> Tensor:
-    """:func:`area_averaged` of images (... x R x R x C, R = ``count``) that a function gives some rows of."""
+    """:func:`area_averaged` of images (... x R x R x C, R = ``count``); ``part`` gives some of their rows."""
     rows = (slice(k * count // side, -((k + 1) * -count // side)) for k in range(side))
     return torch.cat([_interpolated(part(each), (1, side), mode="area") for each in rows], dim=-3)
 
@@ -36,7 +36,7 @@ def enlarged_rows(images: Tensor, side: int, rows: slice) -> Tensor:
     below, share = (above + 1).clamp_max(images.shape[1] - 1), (place - above)[:, None, None]
     upper, lower = (_interpolated(images[:, at], (len(place), side), mode="bilinear", align_corners=False)
                     for at in (above, below))
-    return (upper.double() * (1 - share) + lower * share).float()  # as the whole is rounded
+    return (upper.double() * (1 - share) + lower * share).float()  # rounded like the whole
 
 
 def enlarged(planes: Tensor, side: int) -> Tensor:

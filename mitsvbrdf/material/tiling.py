@@ -14,12 +14,12 @@ from .resample import area_averaged
 
 COARSE = 128  # texels a side at which overlaps are compared, at most
 NARROWEST, WIDEST = 8, 2  # overlaps that are tried: the side over these, and all between
-# Opposite borders of a seamless material differ at most so many times as neighbours beside them. Tiles that
-# end amid their grout reach 1.1, borders that do not belong together 1.6 and more.
+# Opposite borders of a seamless material differ at most so many times as much as neighbours beside them.
+# Tiles that end amid their grout reach 1.1, borders that do not belong together 1.6 and more.
 EDGES_MEET = 1.5
 BESIDE = 16  # the side over this: how far from the border neighbours count
 LEAST_STEP = 1 / 255  # differences below one step of 8 bits count as one
-FEATHER = 16  # the part of the overlap over which the two sides blend at the cut
+FEATHER = 16  # overlap / FEATHER is the width over which the two sides blend at the cut
 
 
 def seamless(svbrdf: SVBRDF) -> tuple[SVBRDF, float]:
@@ -47,9 +47,9 @@ def seamless(svbrdf: SVBRDF) -> tuple[SVBRDF, float]:
 
 
 def seam(svbrdf: SVBRDF) -> float:
-    """How visible the edges of a repeated material are: 1 is no more than its texels beside them.
+    """How visible the edges of a repeated material are: at 1, no more than the texels beside them.
 
-    RMS difference across opposite borders over that of neighbours near them, of the worst map and edge.
+    RMS difference across opposite borders, divided by that of neighbours near them; worst map and edge.
     """
     worst = 0.0
     for name, value in svbrdf.maps.items():
@@ -63,7 +63,7 @@ def seam(svbrdf: SVBRDF) -> float:
 
 
 def _enlarged(svbrdf: SVBRDF, size: int) -> SVBRDF:
-    """A material whose edges meet at a higher resolution: bilinear, across the edges too."""
+    """Enlarge a material whose edges meet: bilinear, across the edges too."""
     at = (torch.arange(size, dtype=torch.float64) + 0.5) * svbrdf.resolution / size - 0.5
     low, share = at.floor().long(), (at - at.floor())[:, None, None]
     maps = {}
@@ -81,7 +81,7 @@ def _split(layers: Tensor, svbrdf: SVBRDF) -> tuple[Tensor, ...]:
 
 
 def _looks(layers: Tensor, svbrdf: SVBRDF) -> Tensor:
-    """The layers with colours as they are seen: differences of these are what an eye notices."""
+    """The layers with colours encoded, so that differences are as an eye notices them."""
     return torch.cat([_look(name, value) for name, value in zip(svbrdf.maps, _split(layers, svbrdf))], dim=-1)
 
 
@@ -106,7 +106,7 @@ def _overlap(looks: Tensor) -> int:
 
 
 def _joined(layers: Tensor, looks: Tensor, overlap: int) -> Tensor:
-    """H x W x C, narrower by the overlap: the last column goes on in the first."""
+    """The layers (H x W x C) narrower by the overlap: the last column continues in the first."""
     error = _difference(looks, overlap)
     coarser = -(-overlap // COARSE)
     cut = coarser * _closed_cut(F.avg_pool2d(error[None, None], coarser, ceil_mode=True)[0, 0])[0].to(
@@ -115,7 +115,7 @@ def _joined(layers: Tensor, looks: Tensor, overlap: int) -> Tensor:
     # share of the left border's texels
     first = (torch.arange(overlap) + 0.5 - cut) / max(1.0, overlap / FEATHER) + 0.5
     first = first.clamp(0, 1)[..., None]
-    first[:, 0], first[:, -1] = 0, 1  # what the last column goes on in, and what the rest goes on from
+    first[:, 0], first[:, -1] = 0, 1  # first only the right border, last only the left one
     return torch.cat((first * layers[:, :overlap] + (1 - first) * layers[:, -overlap:],
                       layers[:, overlap:-overlap]), dim=1)
 

@@ -1,7 +1,7 @@
 """What surrounds a preview. Up is z, and a white diffuse surface that faces up has luminance 0.8.
 
-In a picture of an environment (longitude and latitude) the top row is up, the middle column is +y, which is
-straight ahead of a camera that looks along +y, and +x is right of it.
+In an environment map (longitude and latitude) the top row is up. The middle column is +y, straight ahead for
+a camera that looks along +y, and +x is right of it.
 """
 
 import math
@@ -23,7 +23,7 @@ from ..io import images
 from ..io.decode import check_size
 
 ENVIRONMENTS = ("studio", "sunsky", "none")  # softboxes in a grey room, a clear afternoon, a single light
-WHITE_LUMINANCE = 0.8  # luminance of a white diffuse surface that faces up, or the single light
+WHITE_LUMINANCE = 0.8  # luminance of a white diffuse surface that faces up, or faces the single light
 LAMP = (-2.6, -2.0, 3.2)  # left and behind the camera
 HDR_HEADER = 4096  # bytes of an .hdr file among which its size stands
 LUMINANCE = torch.tensor([0.2126, 0.7152, 0.0722], dtype=torch.float64)
@@ -127,7 +127,7 @@ def white_luminance(image: Tensor) -> float:
     return float(torch.trapezoid(rows * torch.cos(theta) * torch.sin(theta), theta)) * 2
 
 
-# Where a softbox hangs, how wide and high it is at distance 1 (half sides), its radiance and colour.
+# Direction of a softbox, half its width and height at distance 1, its radiance and colour.
 SOFTBOXES = (((-0.62, -0.75, 0.72), (0.34, 0.34), 26.0, (1.0, 0.97, 0.93)),  # key: left, behind the camera
              ((1.0, -0.25, 0.30), (0.14, 0.55), 9.0, (0.92, 0.96, 1.0)),     # fill: a strip at the right
              # rim: overhead, behind the object

@@ -1,4 +1,4 @@
-"""Frames of presets in a folder, each recorded once it is done: a later run can go on. And as MP4 or GIF."""
+"""Frames of presets in a folder, each recorded once done, so that a later run can go on; and MP4 or GIF."""
 
 import json
 import shutil
@@ -27,8 +27,8 @@ BESIDE = ("png", "mp4", "gif")  # files of a preset, beside its frames
 class Record:
     """What ``relight.json`` says."""
 
-    settings: dict  # all that the pictures depend on, as JSON has it; a run that goes on has the same
-    # by preset omitted and frames: one dict each with frame, file, samples, seconds, error and stopped
+    settings: dict  # all that the pictures depend on, as JSON has it; a resumed run has the same
+    # by preset: omitted, and frames; each frame is a dict of frame, file, samples, seconds, error and stopped
     presets: dict[str, dict]
 
     def of(self, preset: str) -> dict[int, dict]:
@@ -44,7 +44,7 @@ class Record:
 
 
 def kept_names(presets: Iterable[str]) -> tuple[str, ...]:
-    """Files and folders of a run that another one can go on from."""
+    """Names of files and folders of a run from which another run can continue."""
     return (RECORD,
             *(name + ending for name in presets for ending in ("", ".exr", *(f".{kind}" for kind in BESIDE))))
 
@@ -57,9 +57,8 @@ def begin(settings: Mapping) -> Record:
 def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
     """The record of an earlier run with the same settings, its files brought to ``folder``.
 
-    The folder where results are made still holds the frames of a run that was killed, and comes before
-    ``out``. ConfigError: there is no earlier run, it had other settings, or it names files outside of its
-    folder.
+    ``folder``, where results are made, still holds the frames of a killed run, and is preferred to ``out``.
+    ConfigError: there is no earlier run, it had other settings, or it names files outside of its folder.
     """
     place = next((place for place in (folder, out) if files.is_regular(place / RECORD)), None)
     if place is None:
@@ -100,10 +99,10 @@ def render_stages(mi: ModuleType, stages: Sequence[Stage], record: Record, folde
                   done: Callable[[Stage], object], interrupted: Sequence = ()) -> bool:
     """Render the frames that the record lacks, in order; frames are EXR files, stills have a PNG beside.
 
-    The record gets an entry for each frame, and is written after each. The exposure is that of the PNG, and
-    of the picture whose error is estimated. ``done`` is called after each preset, with what it has where it
-    was interrupted. ``interrupted`` is not empty once somebody wants an end; the frame at hand is kept as it
-    is. Whether all frames are done is returned. MapsError: radiance that is not finite.
+    The record gets an entry for each frame, and is written after each. The PNG, and the picture whose error
+    is estimated, have this exposure. ``done`` is called after each preset, also an interrupted one that has a
+    frame. ``interrupted`` is not empty once a stop is asked for; the current frame is kept as it is. Returns
+    whether all frames are done. MapsError: radiance that is not finite.
     """
     total = sum(stage.frames for stage in stages)
     before = 0
@@ -166,8 +165,8 @@ def write_mp4(path: Path, frames: Iterable[Tensor]) -> None:
     """An MP4 that every player and browser shows: H.264, yuv420p, tagged as BT.709, limited range.
 
     Frames are display values, clipped to [0, 1]. yuv420p has half as many chroma as luma samples on either
-    axis, so an odd size gets one column or row more, a copy of its neighbour: so nothing of the picture is
-    lost. BackendError: PyAV is not installed.
+    axis, so an odd size gets one column or row more, a copy of its neighbour. Nothing of the picture is lost.
+    BackendError: PyAV is not installed.
     """
     av = av_module()
     from av.video.reformatter import ColorRange, Colorspace
@@ -196,7 +195,7 @@ def write_gif(path: Path, frames: Iterable[Tensor]) -> None:
     from PIL import Image
 
     pictures = [Image.fromarray(_eight_bits(frame)) for frame in frames]
-    # GIF counts in hundredths of a second: frames last as many as keep the whole in step.
+    # GIF counts in hundredths of a second: each frame lasts until the rounded start of the next.
     ends = [round(100 * k / FPS) for k in range(len(pictures) + 1)]
     first, *others = (picture.quantize(palette=picture.quantize(PALETTE_SIZE)) for picture in pictures)
     with files.atomic_write(Path(path)) as temporary:

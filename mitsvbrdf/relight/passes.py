@@ -1,12 +1,12 @@
-"""A scene rendered in independent passes, which also tell the error of their mean.
+"""Render a scene in independent passes, which also give an estimate of the error of their mean.
 
-The error is RMSE in display values (sRGB, exposed, clipped to [0, 1]) over the whole frame of the picture as
-it is kept. The jackknife estimates it (Tukey 1958; unequal groups as Busing et al. 1999): samples go to up to
-eight groups in turn, and the kept picture is compared with the one without each group. Both hold nearly all
-samples, so the sRGB curve and the clipping count as in the picture itself. Where rare bright samples are
-clipped the difference of two halves is only 0.57 of the true error, the jackknife 0.97 of it.
+The error is RMSE in display values (sRGB, exposed, clipped to [0, 1]) over the whole frame of the final
+picture. The jackknife estimates it (Tukey 1958; unequal groups as Busing et al. 1999): samples go to up to
+eight groups in turn, and the final picture is compared with the pictures without one of the groups. Both hold
+nearly all samples, so the sRGB curve and the clipping act as in the final picture. Where rare bright samples
+are clipped, the difference of two halves is only 0.57 of the true error, the jackknife 0.97.
 
-Dr.Jit compiles one kernel for all numbers of samples that are powers of two, so every pass is made of those.
+Dr.Jit compiles one kernel for all powers of two as numbers of samples, so every call has such a number.
 """
 
 import math
@@ -48,12 +48,12 @@ def shown(image: Tensor, exposure: float = 0.0) -> Tensor:
 
 def render_passes(draw: Callable[[int, int], Tensor], samples: int, *, pixels: int, exposure: float = 0.0,
                   report: Report = lambda text, share: None, interrupted: Sequence = ()) -> Rendered:
-    """Add passes until each pixel has so many samples.
+    """Add passes until each pixel has ``samples`` samples.
 
     ``draw`` takes the number of the call and samples a pixel, a power of two, and gives linear H x W x 3,
-    independent from call to call. The error is that of the picture as shown, so many stops brighter.
-    ``interrupted`` is not empty once somebody wants an end; one call is made in any case. MapsError: the
-    renderer gave numbers that are not finite.
+    independent from call to call. The error is that of the picture as shown, ``exposure`` stops brighter.
+    ``interrupted`` is not empty once a stop is asked for; at least one call is made. MapsError: the renderer
+    gave numbers that are not finite.
     """
     started, mean, calls = time.perf_counter(), GroupedMean(), 0
     part = max(min(samples // JACKKNIFE_GROUPS, SAMPLES_AT_ONCE // pixels), 1)
@@ -85,7 +85,7 @@ def render_frame(mi: ModuleType, scene: Any, samples: int, *, seed: int = 0, nam
 
 
 class GroupedMean:
-    """The mean of all samples, kept in groups, for the mean without each group."""
+    """The mean of all samples, which are kept in groups to give the mean without each group."""
 
     def __init__(self) -> None:
         self.sums: list[Tensor] = []
@@ -93,7 +93,7 @@ class GroupedMean:
 
     @property
     def samples(self) -> int:
-        """So many a pixel."""
+        """Samples per pixel."""
         return sum(self.counts)
 
     @property
@@ -102,7 +102,7 @@ class GroupedMean:
         return torch.stack(self.sums).sum(dim=0) / self.samples
 
     def add(self, image: Tensor, samples: int) -> None:
-        """Add the mean of new samples: as a group while there are few, else to the smallest."""
+        """Add the mean of new samples: as a new group up to the eighth, else to the smallest group."""
         if not bool(torch.isfinite(image).all()):
             raise MapsError("radiance that is finite", "pixels that are not",
                             "check maps and environment for NaN or infinity")

@@ -29,8 +29,8 @@ PRESETS = {"sweep": ("none", 48, 16), "turntable": ("studio", 72, 128), "sphere"
 OWN_LIGHT = ("sweep", "novel")
 ROUND = ("sphere", "shaderball")
 SAMPLES = 16  # of a page's sphere, a power of 4: low-discrepancy, 1.3 times the noise of 64 independent
-DIMMEST = 1e-3  # reflections are followed until less of the light than this is left
-OFF_LENS = 0.5  # radius of the circle of lights around the lens, over the camera's height
+DIMMEST = 1e-3  # reflections are followed until less than this share of the light is left
+OFF_LENS = 0.5  # radius of the circle of lights around the lens, as a share of the camera's height
 MOST_TILES = 64  # along a side
 
 
@@ -103,7 +103,7 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
                         else "the preset has a light of its own"))
     if preset not in ROUND:
         omitted.append(("displacement", "normals shade, the surface is flat"))
-    if preset == "sphere" and name != "sunsky":  # which shines on the floor alone
+    if preset == "sphere" and name != "sunsky":  # sunsky is dark below the horizon: the floor stands in
         del scene["floor"]
         omitted.append(("floor", "nothing surrounds the sphere" if name == "none" else
                          "what surrounds the sphere goes on below the horizon"))
@@ -144,8 +144,8 @@ def _material(mi: ModuleType, svbrdf: SVBRDF, needs: Needs, tiling: int, preset:
 
     material = plugin(svbrdf.bsdf, needs, texture, stock=True)
     if needs.normal_map and preset != "novel":
-        # Where a shape turns away, normals that lean further would be black; the surface they stand for would
-        # be hidden.
+        # Near a shape's outline, normals that lean further away would be black; the relief itself would hide
+        # such parts.
         material["flip_invalid_normals"] = True
     return material
 
@@ -220,7 +220,7 @@ def sphere(svbrdf: SVBRDF, size: int) -> Tensor:
 
 
 def _picture(mi: ModuleType, covering: SVBRDF, size: int) -> Tensor:
-    """Linear radiance, size x size x 3; nothing of Mitsuba's is left behind."""
+    """Linear radiance, size x size x 3; no object of Mitsuba outlives the call."""
     stage = make_stage(mi, covering, "sphere", size=(size, size), samples=SAMPLES)
     stage.scene["sensor"]["sampler"] = {"type": "ldsampler", "sample_count": SAMPLES}
     return torch.tensor(mi.render(stage.at(mi), spp=SAMPLES, seed=0).numpy())

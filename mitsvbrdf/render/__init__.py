@@ -20,7 +20,7 @@ from ..views import Views
 from .needs import Needs
 
 RendererName = Literal["mitsuba", "mitsuba-scene", "analytic", "analytic64"]
-# those held against the float64 twin
+# those compared with the float64 twin
 RENDERERS: tuple[RendererName, ...] = ("mitsuba", "mitsuba-scene", "analytic")
 
 
@@ -57,7 +57,7 @@ def make_renderer(name: str = "mitsuba", variant: str = "llvm_ad_rgb",
     Args:
         name: ``mitsuba``, ``mitsuba-scene``, ``analytic`` or ``analytic64`` (in float64).
         variant: the Mitsuba variant, ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
-        needs: what to compute; default: what each scene needs. Others measure what an omission saves.
+        needs: what to compute; default: what each scene needs. Other values measure what an omission saves.
 
     Raises:
         ConfigError: unknown name.

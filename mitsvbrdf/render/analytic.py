@@ -1,9 +1,9 @@
 """The readable twin: the same two BSDFs in plain torch, in any float dtype; it needs no Mitsuba.
 
 Cook-Torrance as the paper (III.E): f = rho_d / pi + D(alpha, n.h) G(n.l, n.v) F / (4 n.l n.v), GGX D,
-separable Smith G. Radiance L = f (n.l) I / d^2. F is F0 where camera and light coincide (h = l, so it is
-exact); elsewhere the unpolarised Fresnel reflectance of the refractive index that has F0 at normal incidence,
-which is what Mitsuba's ``roughconductor`` computes (the paper's Schlick curve is not among its options).
+separable Smith G. Radiance L = f (n.l) I / d^2. Where camera and light coincide, F is F0, exactly (h = l).
+Elsewhere F is the unpolarised Fresnel reflectance of the refractive index that has F0 at normal incidence, as
+in Mitsuba's ``roughconductor`` (which does not offer the paper's Schlick curve).
 
 Each formula is written so that nothing cancels, overflows or divides by zero on valid input, in float32 and
 in its derivatives; docs/results/lab-notes.md lists what each form mended and by how much.
@@ -21,7 +21,7 @@ from ..views import Views, texel_positions
 from .bsdf import F0_RANGE, MIN_ALPHA_PRINCIPLED, needed_maps
 from .needs import Needs, refuse_not_finite, scene_needs
 
-# Mitsuba's microfacets are never smoother
+# lowest alpha of Mitsuba's microfacets
 MIN_ALPHA = {"roughconductor": 1e-4, "principled": MIN_ALPHA_PRINCIPLED}
 
 
@@ -64,7 +64,7 @@ class AnalyticRenderer:
 class Cosines(NamedTuple):
     """Cosines between normal n, light l, camera v and half vector h, each N x R x R x 1.
 
-    ``across2`` is |n x h|^2, the square of the sine that goes with ``n_h``.
+    ``across2`` is |n x h|^2, the squared sine of the angle whose cosine is ``n_h``.
     """
 
     n_l: Tensor
@@ -75,11 +75,11 @@ class Cosines(NamedTuple):
 
 
 def _geometry(normal: Tensor | None, views: Views, resolution: int) -> tuple[Cosines, Tensor]:
-    """Cosines, and I / d^2; in float64, whatever comes after. Without normals the plane's own.
+    """Cosines and I / d^2, always in float64. Without normals, the plane's normal.
 
     l + v cancels where light and camera stand low on opposite sides: from 100 sides away at 0.01 above the
-    plane, float32 lost all but one digit of h. n x h cancels near every highlight: at roughness 0.1 it cost
-    float32 gradients 3e-6. And d^2 of a light 1e20 units away is no float32.
+    plane, float32 lost all but one digit of h. n x h cancels near every highlight: at roughness 0.1 float32
+    gradients were off by 3e-6. And d^2 of a light 1e20 units away overflows float32.
     """
     views = views.in_patch_sides().to(torch.float64)
     position = texel_positions(resolution)
@@ -110,7 +110,7 @@ def _specular(alpha: Tensor, c: Cosines) -> Tensor:
     a2 = alpha**2
     # a2 c^2 + (1 - c^2) with 1 - c^2 as |n x h|^2: c^2 (a2 - 1) + 1 would cancel near the highlight.
     d = a2 / (torch.pi * (a2 * c.n_h**2 + c.across2) ** 2)
-    # G has a factor 4 n.l n.v, which goes against the one below it before it can become 0 / 0.
+    # G has a factor 4 n.l n.v, which cancels with the denominator's before that can become 0 / 0.
     return d * c.n_l / (_smith(a2, c.n_l) * _smith(a2, c.n_v))
 
 
@@ -123,9 +123,9 @@ def _fresnel(f0: Tensor, cosine: Tensor) -> Tensor:
     """Unpolarised reflectance at this cosine of the real refractive index (1 + s) / (1 - s), s = sqrt F0.
 
     With a = 1 - s, b = 1 + s and g = sqrt(4 s + a^2 c^2) the two amplitudes r_s = (a c - g) / (a c + g) and
-    r_p = (b^2 c - a g) / (b^2 c + a g) both carry a factor 4 s, taken out here: what is left has no
-    difference of equal numbers, at F0 = 0 or at 1. By the index itself F lost 6e-8 / F0 of its digits. Beyond
-    F0_RANGE F is proportional to F0, as it is for Mitsuba, which needs the index.
+    r_p = (b^2 c - a g) / (b^2 c + a g) both have a factor 4 s, which is taken out here: the rest has no
+    difference of equal numbers, at F0 = 0 or at 1. Computed from the index itself, F was off by 6e-8 / F0.
+    Beyond F0_RANGE F is proportional to F0, as it is for Mitsuba, which needs the index.
     """
     low, high = F0_RANGE
     # slope 0 at the ends themselves, in any precision

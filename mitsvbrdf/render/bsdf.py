@@ -13,13 +13,13 @@ from .needs import Needs
 
 MIN_ALPHA_PRINCIPLED = 0.001  # Mitsuba's `principled` never goes below; its gradient in roughness is 0 there
 
-# plugins of plugins.py that stand for roughconductor's own reflectance and for normalmap
+# plugins of plugins.py that replace roughconductor's own reflectance, and normalmap
 FRESNEL, NORMAL_MAP = "exact_fresnel", "exact_normalmap"
 
 BELOW_ONE = 2.0**-24  # from 1 to the next float32 below
 
 # The refractive index grows without bound as F0 -> 1, and its slope in F0 as F0 -> 0; both ends are cut.
-# Beyond them the reflectance is proportional to F0: it still ends in 0, and keeps a slope.
+# Beyond them the reflectance is proportional to F0: it still ends in 0, and its slope is not 0.
 F0_RANGE = (1e-6, 0.999)
 
 
@@ -30,7 +30,7 @@ def index_from_f0(f0: Any) -> Any:
 
 
 def needed_maps(svbrdf: SVBRDF, needs: Needs) -> dict[str, Tensor]:
-    """The maps that are read at all, by name; a specular map that needs no colour as its first channel."""
+    """The maps that are read at all, by name; of a specular map that needs no colour, the first channel."""
     unread = {"diffuse": not needs.diffuse_lobe, "specular": not needs.specular_lobe,
               "metallic": not needs.metallic, "normal": not needs.normal_map,
               "roughness": svbrdf.bsdf == "roughconductor" and not needs.specular_lobe}
@@ -41,7 +41,7 @@ def needed_maps(svbrdf: SVBRDF, needs: Needs) -> dict[str, Tensor]:
 
 
 def _with_slope(metallic: Any) -> Any:
-    """Metallic as it is, but where it is exactly 1 and wants a gradient one rounding below.
+    """Metallic as it is; where it is exactly 1 and wants a gradient, one float32 rounding below.
 
     Mitsuba's ``principled`` skips its diffuse lobe where metallic is 1, and with it the lobe's slope in
     metallic: the gradient was 161 instead of 70.6 for a base colour of 0.5. The image then holds 6e-8 of the
@@ -56,7 +56,7 @@ def _with_slope(metallic: Any) -> Any:
 def slot_values(bsdf: str, maps: dict[str, Any], needs: Needs, stock: bool = False) -> dict[str, Any]:
     """What the plugin's texture slots hold for these maps (torch or Dr.Jit arrays, same layout as the maps).
 
-    ``stock``: for Mitsuba's own plugins alone, of torch maps.
+    ``stock``: values for Mitsuba's own plugins only, from torch maps.
 
     Two lobes of ``roughconductor`` are summed by a ``blendbsdf`` of weight 0.5, so both carry a factor 2.
     """
@@ -79,9 +79,9 @@ def slot_values(bsdf: str, maps: dict[str, Any], needs: Needs, stock: bool = Fal
 
 
 def plugin(bsdf: str, needs: Needs, texture: Callable[[str], Any], stock: bool = False) -> dict:
-    """The Mitsuba plugin dictionary of a material; ``texture`` makes that of a slot of :func:`slot_values`.
+    """The Mitsuba plugin dictionary of a material; ``texture`` gives a slot's texture (:func:`slot_values`).
 
-    ``stock``: of Mitsuba's own plugins alone, as in a file for others.
+    ``stock``: use Mitsuba's own plugins only, as in a file for others.
     """
     if bsdf == "principled":
         shading = {"type": "principled", "base_color": texture("base_color"),

@@ -1,13 +1,13 @@
-"""Mitsuba and Dr.Jit for one thread at a time, and pictures whose gradient belongs to them.
+"""Mitsuba and Dr.Jit in one thread at a time, and pictures that get their own gradients.
 
-Neither bears two threads: two that trace at once draw wrong pictures or end the process. So an import of
-Mitsuba, a scene, a picture and a backward pass each hold :func:`using_mitsuba`; in between other threads may
-draw. What Mitsuba made is freed under the lock too (:class:`Kept`). Tensors that leave are copies.
+Neither is thread-safe: two threads that trace at once draw wrong pictures or end the process. So the import
+of Mitsuba, each new scene, each picture and each backward pass hold :func:`using_mitsuba`; in between other
+threads may draw. Mitsuba's objects are freed under the lock too (:class:`Kept`); returned tensors are copies.
 
-The replay trap: the backward pass traces a Mitsuba scene *as it is by then*, and Dr.Jit traces calls through
-every scene there is. A camera moved or a preview drawn between forward and backward gives gradients of the
-wrong picture, or zeros. :class:`Drawing` is the guard: a backward pass after any other picture of any scene
-first draws its own again, from the maps and views it kept.
+The replay trap: the backward pass traces a Mitsuba scene *as it is at that time*, and Dr.Jit traces calls
+through all existing scenes. If a camera moves or a preview is drawn between forward and backward, the
+gradients are of the wrong picture, or zeros. :class:`Drawing` prevents that: if another picture of any scene
+was drawn meanwhile, the backward pass first draws its own again, from the maps and views it kept.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ _alive: WeakSet[Kept] = WeakSet()
 class Kept(Generic[T]):
     """Something of Mitsuba or Dr.Jit that any thread may forget; a thread with the lock frees it.
 
-    An array freed while another thread traces ends the process, or waits for that thread and holds Python's
-    own lock. So forgotten content waits for the next :func:`using_mitsuba` or for the end of the process.
-    The content must not refer to the object that keeps it.
+    If an array is freed while another thread traces, the process ends, or waits for that thread while it
+    holds Python's own lock. So forgotten content waits for the next :func:`using_mitsuba` or for the end of
+    the process. The content must not refer to the object that keeps it.
     """
 
     def __init__(self, content: T) -> None:
@@ -57,13 +57,13 @@ class Kept(Generic[T]):
         _alive.add(self)
 
     def __del__(self) -> None:
-        if _forgotten is not None:  # at the end of Python it is, and everything was freed
+        if _forgotten is not None:  # it is None at the end of Python, when everything was freed
             _forgotten.append(self.__dict__.pop("content", None))
 
 
 @atexit.register
 def _free_all() -> None:
-    """Free everything while Dr.Jit is still there: it ends a process that frees a scene's gradient later."""
+    """Free everything while Dr.Jit is still there: freeing a scene's gradient later ends the process."""
     for each in list(_alive):
         vars(each).clear()
     _forgotten.clear()
@@ -74,9 +74,9 @@ def _free_all() -> None:
 def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
     """The ``mitsuba`` module with this variant, for this thread alone; the earlier variant comes back.
 
-    Callers of the package need none of this; code that uses Mitsuba or Dr.Jit beside it holds it too. It may
-    be entered again inside itself. It must not be held around a backward pass of tensors on a GPU, which
-    autograd makes in another thread. Arrays and scenes should be gone when it ends: make them in a function.
+    Callers of the package do not need it; code that uses Mitsuba or Dr.Jit beside the package must hold it
+    too. It may be nested. It must not be held around a backward pass of tensors on a GPU, which autograd
+    makes in another thread. Arrays and scenes should be gone when it ends: make them in a function.
 
     Raises:
         BackendError: Mitsuba, the variant, a GPU or libLLVM is missing.
@@ -88,11 +88,11 @@ def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
         try:
             yield mi
         except BaseException as error:
-            traceback.clear_frames(error.__traceback__)  # whoever keeps the error would keep their arrays
+            traceback.clear_frames(error.__traceback__)  # a kept error would keep the arrays of its frames
             raise
         finally:
             _forgotten.clear()
-            signal.siginterrupt(signal.SIGINT, True)  # Mitsuba's render leaves a Ctrl-C that wakes no thread
+            signal.siginterrupt(signal.SIGINT, True)  # after Mitsuba's render a Ctrl-C wakes no thread
             if mi.variant() != before:
                 put_back("the Mitsuba variant", partial(set_variant, mi, before))
 
@@ -113,18 +113,18 @@ def _in_order() -> Iterator[None]:
 class Drawing:
     """A function of torch tensors that Mitsuba computes, differentiable once, from any thread.
 
-    The function is one of ``dr.wrap``: tensors to a list of pictures.
-    With ``replayed`` its backward pass traces it again, from what its scene is by then.
+    ``function`` is made by ``dr.wrap``, and maps tensors to a list of pictures. With ``replayed`` the
+    backward pass traces it again, with the scene as it is at that time.
     """
 
-    drawn = 0  # pictures of all scenes so far: tells a backward pass whether scenes are still as it left them
+    drawn = 0  # pictures of all scenes so far: tells a backward pass whether scenes may have changed
 
     def __init__(self, variant: str, function: Callable[..., list[Tensor]], replayed: bool) -> None:
         self.variant, self.function, self.replayed = variant, Kept(function), replayed
 
     @contextlib.contextmanager
     def in_mitsuba(self) -> Iterator[None]:
-        """Where it may be drawn and gone back through."""
+        """The context of a forward or a backward pass."""
         with using_mitsuba(self.variant), _in_order() if self.replayed else contextlib.nullcontext():
             yield
 
@@ -163,20 +163,20 @@ class _Recorded(torch.autograd.Function):
 
 
 def _gradients(ctx: Any, inputs: Sequence[Tensor], cotangent: Tensor) -> list[Tensor]:
-    """Copies of the gradients of the inputs that want one; with them, nothing of the drawing is left."""
+    """Copies of the gradients of the inputs that want one; nothing of the drawing is kept."""
     record, ctx.record = ctx.record, None
     if record is None or ctx.drawing.replayed and ctx.drawn != Drawing.drawn:
         record = Kept(ctx.drawing.draw(inputs, ctx.wanted))
     leaves, images = record.content
     wanted = [leaf for leaf in leaves if leaf.requires_grad]
-    with torch.enable_grad():  # of a sum: for a tensor beside an image, torch imports sympy, for a second
+    with torch.enable_grad():  # of a sum: given a gradient of the images, torch imports sympy, for a second
         product = (images * cotangent).sum()
     return [each.clone() for each in torch.autograd.grad(product, wanted)]
 
 
 class MitsubaRenderer:
-    """What both of Mitsuba's renderers are made of; see :class:`mitsvbrdf.render.Renderer`. It computes what
-    a scene needs, or ``needs``.
+    """The base of both Mitsuba renderers; see :class:`mitsvbrdf.render.Renderer`. It computes what a scene
+    needs, or ``needs``.
     """
 
     name: str
@@ -214,11 +214,11 @@ class MitsubaRenderer:
         return (images[0] if len(images) == 1 else torch.cat(images)).to(svbrdf["normal"].device)
 
     def views_at_once(self, side: int, gradients: bool) -> int | None:
-        """How many are drawn by one kernel; None: all."""
+        """How many views one kernel draws; None: all."""
         return None
 
     def _pictures(self, drawing: Drawing, side: int, geometry: list[Tensor], maps: list[Tensor]) -> Tensor:
-        """N x R x R x 3 by cameras, lights, intensities and maps."""
+        """Pictures, N x R x R x 3, from cameras, lights, intensities and maps."""
         return drawing(*geometry, *maps)
 
     def _wrap(self, bsdf: str, needs: Needs, side: int, falloff: str,

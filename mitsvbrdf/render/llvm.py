@@ -1,10 +1,10 @@
 """Find a libLLVM that Dr.Jit works with, prove it in a child process, and load Mitsuba with it.
 
-Dr.Jit takes any libLLVM it comes across, fixes its choice when it is first imported, and an unsuitable one
-(15 or 16 on a CPU with AVX-512, say) aborts the whole process at the first kernel. So a small kernel is tried
-in a child process first, a good answer is noted in the user's cache, and ``DRJIT_LIBLLVM_PATH`` is set
-before Dr.Jit loads. Importing this module loads neither Dr.Jit nor Mitsuba; ``python -m
-mitsvbrdf.render.llvm`` prints the library's path or, with exit code 1, what to install.
+Dr.Jit takes any libLLVM it finds, and fixes its choice when it is first imported. An unsuitable one (15 or 16
+on a CPU with AVX-512, say) aborts the whole process at the first kernel. So a small kernel is tried in a
+child process first, success is noted in the user's cache, and ``DRJIT_LIBLLVM_PATH`` is set before Dr.Jit
+loads. Importing this module loads neither Dr.Jit nor Mitsuba; ``python -m mitsvbrdf.render.llvm`` prints the
+library's path or, with exit code 1, what to install.
 """
 
 import contextlib
@@ -58,7 +58,7 @@ class LLVM(NamedTuple):
     """A libLLVM and the verdict on it."""
 
     path: str  # empty for the one that Dr.Jit finds by itself
-    version: str  # e.g. 19.1.7; of a library that was not loaded the major number alone, or nothing
+    version: str  # e.g. 19.1.7; the major number alone, or empty, for a library that was not loaded
     proved: bool  # Dr.Jit's kernels gave the right numbers with it
     message: str = ""  # why it was refused
 
@@ -131,7 +131,7 @@ def prove(path: str) -> LLVM:
     if note and note.is_file():
         return LLVM(path, note.read_text(), True)
     environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
-    # no kernel compiled earlier may stand in for this library's
+    # no kernel cached earlier may replace one of this library
     with tempfile.TemporaryDirectory() as kernels:
         environment |= {"DRJIT_CACHE_DIR": kernels} | ({VARIABLE: path} if path else {})
         try:
@@ -196,7 +196,7 @@ def install_hint() -> str:
 def set_variant(mi: ModuleType, variant: str) -> None:
     """Set Mitsuba's variant; its integrators in Python are loaded once a variant, not each time (150 ms).
 
-    Afterwards they stay those of the variant that the program around us has set.
+    Afterwards the integrators stay those of the variant that the program around us has set.
     """
     with PROCESS:
         integrators = vars(sys.modules.get(INTEGRATORS, ModuleType(INTEGRATORS)))
@@ -211,13 +211,13 @@ def set_variant(mi: ModuleType, variant: str) -> None:
 
 def mitsuba_module(variant: str = "llvm_ad_rgb") -> ModuleType:
     """The ``mitsuba`` module with this variant set; ``using_mitsuba`` also sets the earlier one back.
-    BackendError: one of them, a GPU or libLLVM is missing.
+    BackendError: Mitsuba, the variant, a GPU or libLLVM is missing.
     """
     cuda = variant.startswith("cuda")
-    with PROCESS:  # the first import does not bear a second thread
+    with PROCESS:  # the first import is not thread-safe
         try:
             use_llvm()
-        except BackendError:  # CUDA does without, but the process may want LLVM later
+        except BackendError:  # CUDA needs none, but the process may want LLVM later
             if not cuda:
                 raise
         try:

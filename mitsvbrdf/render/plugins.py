@@ -1,8 +1,8 @@
 """Mitsuba plugins for rectified photos; the rest is Mitsuba's own.
 
-They are the camera that takes such photos exactly, a normal map and a Fresnel reflectance that keep their
-digits, and an integrator that asks no more than a scene needs. Each is made for the variant in use, whose
-classes it derives from.
+They are the camera that takes such photos exactly, a normal map and a Fresnel reflectance that lose no
+digits, and an integrator that computes no more than a scene needs. Each is a class made for the variant in
+use, derived from that variant's classes.
 """
 
 from functools import cache
@@ -21,9 +21,9 @@ def shading_axes(normal: Any) -> tuple[Any, Any, Any]:
     import drjit as dr
 
     n = dr.normalize(normal)
-    # From the axis, x or y, that n is further away from: beside the x axis the tangents' slope in the normal
-    # would multiply the rounding of what the plugin returns. Gradients of normals at 89.9 degrees: 5e-6 ->
-    # 1e-6.
+    # The tangent starts from the axis, x or y, that is farther from n: near that axis the tangents' slope in
+    # n would multiply the rounding of what the plugin returns. Errors of gradients of normals at 89.9
+    # degrees: 5e-6 -> 1e-6.
     axis = dr.select(dr.abs(n.x) < dr.abs(n.y), type(n)(1, 0, 0), type(n)(0, 1, 0))
     s = dr.normalize(axis - n * dr.dot(n, axis))
     return s, dr.cross(n, s), n
@@ -34,14 +34,14 @@ def to_shading(axes: tuple[Any, Any, Any], direction: Any) -> Any:
     import drjit as dr
 
     x, y, z = (dr.dot(axis, direction) for axis in axes)
-    # Mitsuba divides by z and z^2. Nearer to the horizon than one float32 rounding counts as below it: black,
-    # gradient 0.
+    # Mitsuba divides by z and z^2. A direction within one float32 rounding of the horizon counts as below it:
+    # black, gradient 0.
     return type(axes[0])(x, y, dr.select(dr.abs(z) < ROUNDING, -ROUNDING, z))
 
 
 @cache
 def register(variant: str) -> None:
-    """Make them known to this Mitsuba variant, which is the one in use."""
+    """Register the plugins in this Mitsuba variant, which is the one in use."""
     import mitsuba as mi
 
     mi.register_sensor(CAMERA, _rectified_camera())
@@ -59,9 +59,9 @@ def _rectified_camera() -> type:
     class RectifiedCamera(mi.Sensor):
         """Sends each pixel's ray to its texel: film position (u, v) sees (u - 1/2, 1/2 - v, 0) of the patch.
 
-        Mitsuba's ``perspective`` with a shifted principal point sees the same, but its angle of view is
-        rounded to float32: that put the hits off by 5e-7 of their distance from the axis, and with them the
-        highlights' flanks, which fall with its fourth power, by 2e-6.
+        Mitsuba's ``perspective`` with a shifted principal point sees the same, but rounds the angle of view
+        to float32. That moved the hits by 5e-7 of their distance from the axis. The highlights' flanks fall
+        with the distance's fourth power, and were off by 2e-6.
         """
 
         def __init__(self, props):
@@ -108,8 +108,8 @@ def _exact_normal_map() -> type:
     class ExactNormalMap(_around()):  # type: ignore[misc]
         """Mitsuba's ``normalmap`` with an unencoded normal and directions turned in float64.
 
-        ``normalmap`` reads (n + 1) / 2, where the 1 pushes digits of a small x or y out, and multiplies in
-        float32, where what remains near the highlight is the difference of larger numbers. Measured on
+        ``normalmap`` reads (n + 1) / 2, in which a small x or y loses digits to the 1. It multiplies in
+        float32, and near the highlight the result is a small difference of larger numbers. Errors of
         gradients at roughness 0.1 with waves of normals, with camera and hits in float64 as well: 2.4e-6 ->
         1.0e-6.
         """
@@ -148,9 +148,9 @@ def _exact_fresnel() -> type:
     class ExactFresnel(_around()):  # type: ignore[misc]
         """A specular lobe times the Fresnel reflectance of the index with F0 at normal incidence.
 
-        Mitsuba's ``roughconductor`` takes that index and subtracts numbers that agree as F0 goes to 0 or 1:
-        it loses 8e-8 / F0, which on maps fitted to photos (F0 down to 1e-3) made images differ by 5e-5. Here
-        both amplitudes have their common factor taken out on paper, as in
+        Mitsuba's ``roughconductor`` takes that index and subtracts nearly equal numbers as F0 goes to 0 or 1.
+        It loses 8e-8 / F0: on maps fitted to photos (F0 down to 1e-3) images differed by 5e-5. Here the
+        common factor of both amplitudes is taken out on paper, as in
         :func:`mitsvbrdf.render.analytic._fresnel`.
         """
 
@@ -190,10 +190,10 @@ def _point_lit() -> type:
         return origin + direction * (dr.dot(normal, Vector64(si.p) - origin) / dr.dot(normal, direction))
 
     class PointLit(mi.SamplingIntegrator):
-        """Light straight from the emitters and after at most one bounce, without a loop: differentiable.
+        """Light straight from the emitters and after at most one bounce; without a loop, so differentiable.
 
-        ``shadow_rays``: ask whether the light is visible. ``bounces``: 0 or 1. ``environment``: add what a
-        ray sees that leaves the scene. With all of these it draws what Mitsuba's ``path`` draws (tested).
+        ``shadow_rays``: ask whether the light is visible. ``bounces``: 0 or 1. ``environment``: add what rays
+        see that leave the scene. With all of these it draws what Mitsuba's ``path`` draws (tested).
         """
 
         def __init__(self, props):

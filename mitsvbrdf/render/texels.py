@@ -1,13 +1,13 @@
 """Mitsuba's BSDF plugins at known texels: no rays, no film, no texture look-ups.
 
-The pixel of a rectified photo and the texel it shows are the same. Where gradients are wanted, one thread
-serves one texel: it holds the texel's maps in registers, evaluates the plugin for each view, and adds up its
-own gradient. There is no scatter between threads, so gradients are the same bits in every run. Where none
-are, one thread draws one pixel.
+Each pixel of a rectified photo is one texel of the maps. Where gradients are wanted, one thread serves one
+texel: it holds the texel's maps in registers, evaluates the plugin for each view, and adds up its own
+gradient. There is no scatter between threads, so gradients are the same bits in every run. Without gradients,
+one thread draws one pixel.
 
-Directions are worked out in float64, in the texel's own shading frame, and rounded once, to what the plugin
-takes. In float32 the half vector of a narrow highlight keeps few of its digits across the normal; measured at
-roughness 0.1 with random normals, gradients against float64: 8e-6 -> 3e-7, for a sixth more time.
+Directions are computed in float64, in the texel's own shading frame, and rounded once, to what the plugin
+takes. In float32 the half vector of a narrow highlight would keep few digits of its part across the normal.
+Gradient errors against float64 at roughness 0.1 with random normals: 8e-6 -> 3e-7, for a sixth more time.
 """
 
 import gc
@@ -36,11 +36,11 @@ class TexelRenderer(MitsubaRenderer):
     name = "mitsuba"
 
     def views_at_once(self, side: int, gradients: bool) -> int:
-        """With gradients so many evaluations are unrolled in one kernel; more views take several launches."""
+        """How many views one kernel draws; with gradients it unrolls them, and more take several launches."""
         return UNROLLED if gradients else max(UNROLLED, TILE // side**2)
 
     def _pictures(self, drawing: Drawing, side: int, geometry: list[Tensor], maps: list[Tensor]) -> Tensor:
-        """Some rows of large maps at a time, unless a gradient is wanted: what is made of them is small."""
+        """Draw large maps in strips of rows, unless a gradient is wanted: intermediate values stay small."""
         places = torch.arange(side**2, dtype=torch.int32, device=self.device).reshape(side, side)
         inputs = [*geometry, *maps]
         if side**2 <= TILE or torch.is_grad_enabled() and any(each.requires_grad for each in inputs):
@@ -93,7 +93,7 @@ class HeldPlugin:
     """A Mitsuba plugin in its own shading frame, with the maps' values of the texel that a thread holds.
 
     Its textures answer with these values, whatever the position. :attr:`plugin` is Mitsuba's object. The
-    normal map is the caller's.
+    caller applies the normal map.
     """
 
     def __init__(self, mi: ModuleType, bsdf: str, needs: Needs) -> None:
@@ -111,7 +111,7 @@ class HeldPlugin:
                 self.slot = props["slot"]
 
             # Nothing is held while another renderer is at work: Dr.Jit may then trace this texture along with
-            # its own.
+            # that renderer's.
             def eval(self, si: Any, active: Any = True) -> Any:
                 return mi.Color3f(held.get(self.slot, 0))
 
@@ -161,7 +161,7 @@ def texel_position(mi: ModuleType, index: Any, side: Any) -> Any:
 
 
 def along(value: Any, directions: list) -> list:
-    """Slopes of a Dr.Jit value along directions, lists of (variable, tangent); symbolic loops too.
+    """Slopes of a Dr.Jit value along directions (lists of (variable, tangent)), also in symbolic loops.
 
     The variables have gradients enabled; they are left as they were.
     """
@@ -177,10 +177,10 @@ def along(value: Any, directions: list) -> list:
 
 
 def frozen(function: Callable, shader: HeldPlugin) -> Callable:
-    """A function of Dr.Jit arrays that is traced once; it may evaluate the plugin.
+    """Freeze a function of Dr.Jit arrays: it is traced once; it may evaluate the plugin.
 
-    Python's garbage collector waits meanwhile: where it frees an array in torch's memory while Dr.Jit 1.5.0
-    records, the process aborts ("enqueue_host_func(): this function cannot be recorded").
+    Python's garbage collector is off meanwhile: if it freed an array in torch's memory while Dr.Jit 1.5.0
+    records, the process would abort ("enqueue_host_func(): this function cannot be recorded").
     """
     import drjit as dr
 
@@ -200,7 +200,7 @@ def frozen(function: Callable, shader: HeldPlugin) -> Callable:
 
 
 def from_torch(mi: ModuleType, tensor: Tensor) -> Any:
-    """A flat Dr.Jit array, Float, its float64 kin or UInt32, in the same memory where possible."""
+    """A tensor as a flat Dr.Jit array (Float, Float64 or UInt32), in the same memory where possible."""
     import drjit as dr
 
     kinds = {torch.float64: dr.float64_array_t(mi.Float), torch.int32: mi.UInt32}

@@ -19,8 +19,8 @@ from .pictures import at_most, picture_uri, png_uri
 
 SCHEMA_VERSION = 1
 THUMBNAIL, FULL = 240, 400  # pixels on the page, and of a rejected photo as it is read
-PLAN_REACH = 0.75  # half the side of the plan, patch sides, at least
-# of the coverage map; readable beside each other in grey, too
+PLAN_REACH = 0.75  # least half side of the plan, in patch sides
+# colours of the coverage map; distinct in grey, too
 SEEN, UNSEEN = (0.93, 0.80, 0.50), (0.36, 0.42, 0.50)
 
 

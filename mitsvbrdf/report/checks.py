@@ -13,8 +13,8 @@ from ..verify.crosscheck import crosscheck
 from ..views import Views
 
 SCHEMA_VERSION = 1
-QUICK_SIDE, QUICK_VIEWS = 64, 2  # what a fit checks beside its own work: below half a second
-# texels a side; errors and ratios hardly hang on it. Float64 takes 50 MB a view
+QUICK_SIDE, QUICK_VIEWS = 64, 2  # of the check that every fit makes: below half a second
+# texels a side; errors and ratios hardly depend on it. Float64 takes 50 MB a view
 LARGEST, MOST_VIEWS = 256, 25
 
 
@@ -23,9 +23,9 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
                report: Report = lambda text, share: None) -> dict:
     """Measure renderers on fitted maps, in the views of the fit.
 
-    Without a renderer, that of a fit which is not ours, nothing is measured that needs it. A quick report
-    checks the fit's renderer alone, at 64 px in two views, and times nothing. Else it is 256 px at most, in
-    25 views at most, evenly chosen. docs/formats.md explains the record for JSON.
+    ``renderer`` is None for a fit that is not ours; then nothing that needs the fit's renderer is measured. A
+    quick report checks the fit's renderer alone, at 64 px in two views, and times nothing. Any other report
+    is at 256 px at most, in 25 views at most, evenly chosen. docs/formats.md explains the record for JSON.
     """
     engines = [] if renderer is None else [renderer]
     if not quick:
@@ -55,7 +55,7 @@ def _available(name: str, beside: Renderer | None) -> list[Renderer]:
 
 
 def _figures(record: dict, timed: bool) -> dict:
-    """Of a cross-check of one material, what a page shows."""
+    """The part of a cross-check of one material that a page shows."""
     (about,), rows = record["materials"].values(), []
     for found in record["configurations"]:
         for texels in ("rough", "smooth"):

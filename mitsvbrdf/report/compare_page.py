@@ -48,7 +48,7 @@ def _uri(name: str, value: Tensor) -> str:
 
 
 def _table(record: dict) -> list[dict]:
-    """Groups of rows: what was measured, its value for each method, and the best where all compare."""
+    """Groups of rows: what was measured, each method's value, and the best where all are comparable."""
     methods, groups = record["methods"], []
 
     def row(name: str, values: list[float | None], alike: bool = True) -> dict:
@@ -63,7 +63,7 @@ def _table(record: dict) -> list[dict]:
     calibrated = not any(m["fitted_views"] for m in methods)
     alike = calibrated and unmoved
     rows = [row("all photos, as pictured", [m["rerender_rmse"] for m in methods], alike)]
-    if any(m["held_out"] for m in methods):  # never all with all: each fit's photos are its own
+    if any(m["held_out"] for m in methods):  # not comparable: each fit has its own photos
         rows.append(row("those that the fit saw, as pictured", [m["rmse_seen"] for m in methods],
                         alike=False))
         rows.append(row("those that the fit did not see", [m["rmse_held_out"] for m in methods], alike=False))

@@ -40,5 +40,5 @@ def _digits(value: float | None) -> str:
 
 
 def _cosine(value: float | None) -> str:
-    """A cosine close to 1 by how much it lacks: 1 - 2.3e-13."""
+    """A cosine close to 1, as its difference from 1: 1 - 2.3e-13."""
     return figure(None) if value is None else f"1 − {figure(max(1 - value, 0.0))}"

@@ -8,8 +8,8 @@ COLOURS = ("#d1651f", "#2b7fc4", "#3a9a54", "#b453b0", "#a98417", "#6673dc", "#c
 CHART_WIDTH, CHART_HEIGHT = 460, 270
 # left, top, right, bottom; ticks and their numbers stand outside
 FRAME = (58, 10, CHART_WIDTH - 12, CHART_HEIGHT - 38)
-MOST_MARKED = 40  # points a line may have to show each
-MOST_POINTS = 1000  # of a line; of a longer trace only every so many are shown
+MOST_MARKED = 40  # up to this many points of a line, each is marked
+MOST_POINTS = 1000  # of a line; of a longer trace only every k-th is shown
 
 
 def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
@@ -37,7 +37,7 @@ def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
 
 
 def error_and_losses(trace: Sequence[Mapping]) -> list[tuple[str, dict]]:
-    """Title and drawing of the error, and of the losses; without those that have no point."""
+    """Title and drawing of the error, and of the losses; a drawing without points is left out."""
     drawn = (("Re-rendering RMSE", curves(trace, ["rerender_rmse"])),
              ("Losses", curves(trace, losses_of(trace))))
     return [(title, drawing) for title, drawing in drawn if drawing]

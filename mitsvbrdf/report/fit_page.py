@@ -1,6 +1,6 @@
 """The page of a fit: made from what lies in its folder, so that it can be made again at any time.
 
-Beside it the page of its plausible detail, which is for pictures only.
+The module also writes the page of plausible detail, which is for pictures only.
 """
 
 import dataclasses
@@ -33,7 +33,7 @@ from .pictures import at_most, magma, picture_uri
 from .viewer import viewer_html
 
 LARGEST_MAP = 512  # pixels a side on the page
-# bytes of a map's PNG; any of 256 px has less, and looked at closely it shows its texels
+# bytes up to which a map is a PNG: any map of 256 px is, so its texels can be looked at closely
 EXACT_MAP = 256 * 1024
 LARGEST_PHOTO, SMALLEST_PHOTO, PHOTOS_WIDE = 512, 96, 768  # nine photos get 256 px, a hundred 96
 # how far the error of a photo may be from what fit.json says; the same photos agree to float32, 1e-7
@@ -65,8 +65,8 @@ def write_report(fit: Fit | str | Path, quick: bool = False, held_out: Capture |
         fit: the fit or its folder, with the photos it used in ``photos/`` where they are to be shown.
         quick: check the fit's renderer alone, on small maps and few views, and time nothing.
         held_out: photos that the fit did not use, to predict and keep; None: those that an earlier page had.
-            Where the capture states no views, also those that it used: all help to place the others.
-        into: the folder to write to, whose photos come before those of the fit's; default: the fit's.
+            Where the capture states no views, add those that the fit used: they help to place the others.
+        into: the folder to write to; photos there are preferred to those of the fit; default: the fit's.
 
     Returns what ``report.json`` holds.
 
@@ -168,7 +168,7 @@ def _maps(found: Fit) -> list[dict]:
         maps.append({"name": name, "title": TITLES[name], "picture": _map_uri(name, found.svbrdf[name]),
                      "spread": None if sure is None else picture_uri(magma(sure[..., 0]))})
     there = (found.path / "guess" / "diffuse.exr").is_file()
-    if there and "diffuse" not in found.fixed:  # else it is that map
+    if there and "diffuse" not in found.fixed:  # else the guess is that map
         maps.append({"name": None, "title": "Guessed diffuse", "spread": None,
                      "picture": _map_uri("diffuse", found.guess)})
     return maps

@@ -67,7 +67,7 @@ def write_fit_files(result: Fit, capture: Capture, out: Path, command: dict | No
     if result.detail:
         stored["detail"] = save_maps(result.detail, out / DETAIL)
     for folder, spreads in ((".", result.deviations), (ALIKE, result.deviations_with_look_alikes)):
-        for name, spread in spreads.items():  # between every k-th texel, interpolated
+        for name, spread in spreads.items():  # known at every k-th texel, interpolated between
             images.write_exr(out / "uncertainty" / folder / f"{name}.exr",
                              enlarged(of_texels(spread)[None], result.svbrdf.resolution)[0, ..., None])
     written = write_record(out, result, command or {}, stored)
@@ -76,7 +76,7 @@ def write_fit_files(result: Fit, capture: Capture, out: Path, command: dict | No
 
 
 def _write_renderings(result: Fit, capture: Capture, out: Path) -> Tensor:
-    """The photos re-rendered, in files; given back for the sheet, N x S x S x 3 display values."""
+    """Write the re-rendered photos; return them for the sheet, N x S x S x 3 display values."""
     small = list[Tensor]()
     for part in batches(len(capture), result.svbrdf.resolution):
         writes = []
@@ -102,7 +102,7 @@ def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_ou
                 rmse=result.rerender_rmse, per_photo=result.per_photo, guess=at_most(result.guess, SHEET),
                 names=capture.names, title=title, remarks=remarks)
     write_scene(out, result.svbrdf, result.views)
-    # held-out photos of an earlier fit are none of this one's
+    # held-out photos of an earlier fit do not belong to this one
     (out / "report.json").unlink(missing_ok=True)
     try:
         write_report(written, quick=True, held_out=held_out)

@@ -1,7 +1,7 @@
 """The live page of a fit: one static file beside the result that is being made, rewritten while the fit runs.
 
-It opens from disk. Its script reloads it every two seconds while ``live.svg`` lies beside it. When that is
-gone the script goes on to the report of the finished fit.
+It opens from disk. A script reloads the page every two seconds while ``live.svg`` lies beside it. When that
+file is gone, the script opens the report of the finished fit.
 """
 
 import os

@@ -84,7 +84,7 @@ def _maps(svbrdf: SVBRDF) -> list[Picture]:
 
 
 def _uri(display: Tensor) -> str:
-    """A picture for ``<img src>``; magenta where it is not a number."""
+    """A picture for ``<img src>``; magenta where a value is NaN."""
     small = at_most(display.detach().cpu().float(), PICTURE_SIDE)
     return png_uri(torch.where(small.isnan().any(dim=-1, keepdim=True), torch.tensor([1.0, 0.0, 1.0]), small))
 

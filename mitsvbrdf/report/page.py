@@ -1,8 +1,8 @@
 """Self-contained HTML pages: one file that opens from disk, in light and dark, with no network request.
 
 A page computes nothing: it gets numbers that stand in a JSON, and pictures that are made here from tensors.
-Its template stands beside the module that fills it; ``report/base.html`` holds the look they share. Jinja2 is
-loaded with the first page.
+Its template stands beside the module that fills it; ``report/base.html`` holds the look that all pages share.
+Jinja2 is loaded with the first page.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ if TYPE_CHECKING:
 
 
 def write_page(path: str | Path, template: str, **context: object) -> None:
-    """Render a template (which extends ``report/base.html``) into one file, beside first, then renamed.
+    """Render a template (which extends ``report/base.html``) into one file, renamed from a temporary one.
 
-    It is named by its path inside the package, such as ``report/report.html``. Text of the context is
-    escaped.
+    The template is named by its path inside the package, such as ``report/report.html``. Text of the context
+    is escaped.
     """
     files.write_bytes(Path(path), page_text(template, **context).encode())
 

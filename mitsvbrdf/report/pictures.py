@@ -29,7 +29,7 @@ def png_uri(display: Tensor) -> str:
 
 
 def picture_uri(display: Tensor, exact_up_to: int = 64 * 1024) -> str:
-    """A picture as of :func:`png_uri`: a PNG of so many bytes at most, else a JPEG of quality 85."""
+    """A picture like :func:`png_uri`: a PNG of at most ``exact_up_to`` bytes, else a JPEG of quality 85."""
     import cv2
 
     exact = png_uri(display)

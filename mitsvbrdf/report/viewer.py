@@ -46,10 +46,10 @@ def encode(name: str, value: np.ndarray, coding: str) -> tuple[dict, bytes]:
     """A picture, H x W x C, as bytes, and what a reader must know to decode it.
 
     Each channel holds integers q in [0, top] that stand for x = low + q (high - low) / top, with its own low
-    and high, so a constant channel is exact. Of x the value is, by coding, ``square``: x^2 (colours: even
-    steps for the eye), ``plain``: x, ``octahedral``: the unit vector z > 0 of two channels, s = x + y, t = x
-    - y over |x| + |y| + |z| (Cigolle et al. 2014, hemi-octahedral), off by at most 3.8e-5 rad wherever it
-    points.
+    and high, so a constant channel is exact. The coding gives the value: ``square`` x^2 (colours: even steps
+    for the eye), ``plain`` x, ``octahedral`` the unit vector, z > 0, of two channels, s = x + y and t = x -
+    y, both over |x| + |y| + |z| (Cigolle et al. 2014, hemi-octahedral), off by at most 3.8e-5 rad in any
+    direction.
 
     First comes ``{"name", "coding", "top", "height", "width", "low": [...], "high": [...]}``, then of each
     channel H x W high bytes, then H x W low bytes, row 0 at the top. In the page all planes follow one
