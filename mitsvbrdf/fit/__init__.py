@@ -32,9 +32,8 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     """Recover a material from photos.
 
     Args:
-        capture: photos and views. Where it has none, they are estimated from the photos first, but for the
-            paper's method (:mod:`mitsvbrdf.calibrate.estimate`); of one or two photos the default geometry
-            is taken.
+        capture: photos and views. Missing views are first estimated from the photos, except for the paper's
+            method (:mod:`mitsvbrdf.calibrate.estimate`). One or two photos get the default geometry.
         renderer: carries the gradients and draws the comparison.
         config: which method and its settings. Default: ``HierarchicalConfig()``.
         checkpoint: file (.safetensors) to keep the running state in.
@@ -44,8 +43,8 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
             :class:`mitsvbrdf.report.live.LivePage`. The fit gives identical results without it.
 
     Returns:
-        The result with the lowest re-rendering error met (``hierarchical``: the last); Ctrl-C ends the fit
-        early with it.
+        The result with the lowest re-rendering error so far (``hierarchical``, ``gan`` from solved maps: the
+        last result). Ctrl-C ends the fit early and returns the same.
 
     Raises:
         CaptureError: photos whose every pixel is masked.

@@ -22,8 +22,8 @@ from .config import FitConfig
 
 KINDS = {torch.float32: "F32", torch.float64: "F64", torch.float16: "F16", torch.bfloat16: "BF16",
          torch.int64: "I64", torch.int32: "I32", torch.int16: "I16", torch.uint8: "U8", torch.bool: "BOOL"}
-MOST_NAMED = 4  # of what differs from the run that is resumed
-BANDED = 64  # rows of a tensor that are looked at together
+MOST_NAMED = 4  # differences from the resumed run that are listed by name
+BANDED = 64  # rows of a tensor that are hashed together
 Held = Tensor | torch.Generator | torch.optim.Optimizer | torch.nn.Module
 Part = Held | Mapping[str, Tensor]  # of a running state
 
@@ -47,7 +47,7 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], note: dict) -> None:
             file.write(struct.pack("<Q", len(header)) + header)
             for name in names:
                 file.write(_bytes(tensors[name]))
-        to_disk(temporary)  # it takes the place of one that can be resumed from
+        to_disk(temporary)  # before it replaces a checkpoint that can be resumed from
 
 
 def _bytes(value: Tensor) -> memoryview:
@@ -57,7 +57,7 @@ def _bytes(value: Tensor) -> memoryview:
 def load_tensors(path: Path | str) -> tuple[dict[str, Tensor], dict]:
     """What :func:`save_tensors` wrote; ConfigError: no checkpoint of this package, or a damaged one."""
     try:
-        if not Path(path).is_file():  # a pipe would be waited for
+        if not Path(path).is_file():  # to open a pipe would block
             raise ValueError("no such file")
         with safe_open(str(path), "pt") as file:
             about = file.metadata()
@@ -90,7 +90,7 @@ def part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
 
 
 def state_of(parts: Mapping[str, Part]) -> dict[str, Tensor]:
-    """Copies of tensors, weights, running averages and random states: those of a part begin with its name."""
+    """Copies of tensors, weights, running averages and random states; each name begins with the part's."""
     state = {}
     for name, each in parts.items():
         if isinstance(each, Tensor):
@@ -107,9 +107,9 @@ def state_of(parts: Mapping[str, Part]) -> dict[str, Tensor]:
 
 
 def load_parts(parts: Mapping[str, Held], state: dict[str, Tensor]) -> None:
-    """Bring parts to the state of :func:`state_of`; step sizes stay as they are.
+    """Load a state of :func:`state_of` into the parts; step sizes stay as they are.
 
-    LookupError, RuntimeError, TypeError, ValueError: the state of other parts.
+    LookupError, RuntimeError, TypeError, ValueError: the state belongs to other parts.
     """
     for name, each in parts.items():
         if isinstance(each, Tensor):
@@ -138,9 +138,9 @@ def _load_optimizer(name: str, optimizer: torch.optim.Optimizer, state: dict[str
 
 def fingerprints(config: FitConfig, capture: Capture, renderer: str,
                  fixed: Mapping[str, Tensor]) -> dict[str, str]:
-    """Fingerprints, by name, of everything that shapes a fit but its limits.
+    """Fingerprints, by name, of everything that determines a fit, except its limits.
 
-    Fixed maps count by their values: the same file name may stand for others later.
+    Fixed maps count by their values: a file of the same name may hold other values later.
     """
     views = capture.views
     parts = {f"--{name.replace('_', '-')}": repr(value) for name, value in asdict(config).items()
@@ -166,7 +166,7 @@ def digest(*tensors: Tensor) -> str:
 
 
 def differing(before: object, now: Mapping[str, str]) -> list[str]:
-    """Names of fingerprints that are not as they were, at most :data:`MOST_NAMED`."""
+    """Names of the fingerprints that have changed, at most :data:`MOST_NAMED`."""
     if not isinstance(before, dict):
         return ["all that an earlier version noted"]
     names = [name for name in dict.fromkeys([*now, *before]) if before.get(name) != now.get(name)]

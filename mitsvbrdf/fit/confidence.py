@@ -1,17 +1,17 @@
-"""How far each texel may be from the answer, by its own photos, and with look-alikes.
+"""How far the true values of each texel may lie from the answer: by its own photos, and with look-alikes.
 
-The deviation d of a number is measured from the answer that the fit gives, wherever that lies in what the
-photos leave open (:mod:`.posterior`). Within d of the answer lie 68 % of it, and within 3 d at least 98 %:
-of a normal distribution around the answer, d is the standard deviation. An answer at the edge of what the
-photos leave open has a wide one. What is wrong for all photos alike, such as the light power, is not in it.
+The photos leave a distribution open for each number (:mod:`.posterior`). Its deviation d is measured from the
+answer of the fit, wherever that lies: at least 68 % of the distribution lie within d of the answer, at least
+98 % within 3 d. For a normal distribution around the answer, d is the standard deviation. An answer at the
+edge of the distribution has a large d. Errors that all photos share, such as in light power, do not count.
 
-A texel whose photos refuse its answer is not determined, whatever its look-alikes are.
+A texel whose photos refuse its answer does not count as determined, whatever its look-alikes say.
 
-The valley is followed for every k-th texel. Each texel has what the curvature of its own photos says, times
-what the valley adds to that nearby.
+The valley of equally good numbers is followed for every k-th texel. The deviation of each texel is the one by
+the curvature at its own photos, times the factor that the valley adds nearby.
 
-Numbers are those in which errors are counted (docs/conventions.md). Each has a range of 1; of one that no
-photo tells, the deviation is that of a uniform number, 1 / sqrt(12).
+Numbers are those in which errors are counted (docs/conventions.md). Each has a range of 1. A number that no
+photo tells has the deviation of a uniform distribution, 1 / sqrt(12).
 """
 
 import math
@@ -34,8 +34,8 @@ from .task import FitTask
 
 UNKNOWN = 1 / math.sqrt(12)
 DETERMINED = 0.1  # a texel counts as determined when its deviation is below this
-FULL = 1024  # texels a side that have a deviation of their own, at most
-ONE, THREE = 0.6827, 0.98  # what one and three deviations hold, at least
+FULL = 1024  # most texels a side with a deviation of their own
+ONE, THREE = 0.6827, 0.98  # least probability within one and within three deviations
 Deviations = dict[str, Tensor]
 
 
@@ -43,9 +43,9 @@ def deviations(svbrdf: SVBRDF, views: Views, task: FitTask,
                basis: Tensor | None = None) -> tuple[Deviations, Deviations]:
     """Deviations of the fitted maps by own photos, and with look-alikes: by name r x r x C, r <= 1024.
 
-    They are those of every k-th texel, k = R / 1024 rounded up; C is 2 of a normal (x and y). The basis is
-    the appearance of the basis materials whose texels share numbers, K x 5; where none do, the latter have no
-    map. BackendError: Mitsuba, the variant or libLLVM is missing.
+    Every k-th texel has deviations, k = R / 1024 rounded up; C is 2 for a normal (x and y). ``basis`` is the
+    appearance of the basis materials whose texels share numbers, K x 5; if none share any, the deviations
+    with look-alikes are empty. BackendError: Mitsuba, the variant or libLLVM is missing.
     """
     side, capture, fixed = svbrdf.resolution, task.capture, dict(task.fixed)
     every = _every(side, GRID)
@@ -82,7 +82,7 @@ def _every(side: int, most: int) -> slice:
 
 
 def _spread(found: Deviations, here: Deviations, there: Deviations) -> Deviations:
-    """Deviations where the curvature says ``there``; ``found`` are those where it says ``here``."""
+    """Deviations at the texels of ``there``: those by curvature, times the ratio of ``found`` to ``here``."""
     more = {name: (value / here[name]).square() for name, value in found.items()}
     return {name: (resized(more[name], len(there[name])).sqrt() * there[name]).clamp_max(UNKNOWN)
             for name in found}
@@ -90,9 +90,9 @@ def _spread(found: Deviations, here: Deviations, there: Deviations) -> Deviation
 
 def _by_curvature(svbrdf: SVBRDF, capture: Capture, own: OwnPhotos, solver: TexelSolver,
                   every: slice) -> tuple[Deviations, Tensor, Tensor]:
-    """Deviations of every k-th texel by the curvature alone; whether photos refuse its answer; their values.
+    """For every k-th texel: deviations by curvature alone, whether photos refuse the answer, values used.
 
-    The noise of its pixels is that of as bright ones of ``own``.
+    Each pixel has the noise of equally bright pixels of ``own``.
     """
     side, measured = capture.resolution, capture.measured
     x = solver.numbers(svbrdf.map(lambda value: value[every, every]))
@@ -112,7 +112,7 @@ def _by_curvature(svbrdf: SVBRDF, capture: Capture, own: OwnPhotos, solver: Texe
 
 
 def _stated(own: OwnPhotos, mixture: Mixture) -> Deviations:
-    """The deviations of each map from what its numbers may be."""
+    """The deviations of each map, by the mixture of what its numbers may be."""
     answer, side = own.answer.flatten(1).T, own.answer.shape[-1]
     spread = half_width(mixture, answer, own.names, ONE).maximum(
         half_width(mixture, answer, own.names, THREE) / 3)
@@ -120,11 +120,11 @@ def _stated(own: OwnPhotos, mixture: Mixture) -> Deviations:
 
 
 def _by_map(own: OwnPhotos, spread: Tensor, answer: Tensor) -> Deviations:
-    """The deviations of each map from those of its numbers at the answer, both r x r x U."""
+    """The deviations of each map; ``spread`` are those of its numbers, at the answer, both r x r x U."""
     found = {}
     for name, of in own.solver.unknowns.slices.items():
         value = spread[..., of]
-        if name == "normal":  # slopes n_x / n_z and n_y / n_z: the slope of (n_x + 1) / 2 by them
+        if name == "normal":  # slopes n_x / n_z and n_y / n_z: the derivative of (n_x + 1) / 2 by them
             square = answer[..., of].square()
             value = value / 2 * (1 + square.flip(-1)) / (1 + square.sum(dim=-1, keepdim=True)) ** 1.5
         found[name] = value.clamp_max(UNKNOWN)
@@ -132,7 +132,7 @@ def _by_map(own: OwnPhotos, spread: Tensor, answer: Tensor) -> Deviations:
 
 
 def seen_by(views: Views, side: int, step: int) -> Views:
-    """Views as every step-th texel of a patch of ``side`` texels sees them, as if these were all of it."""
+    """Views of a patch that consists of every step-th texel of one with ``side`` texels a side."""
     views = views.in_patch_sides()
     count = len(range(step // 2, side, step))
     scale, middle = count * step / side, (step // 2 + 0.5 + (count - 1) * step / 2) / side - 0.5
@@ -144,7 +144,7 @@ def seen_by(views: Views, side: int, step: int) -> Views:
 
 
 def confidence(alone: Mapping[str, Tensor], alike: Mapping[str, Tensor]) -> dict[str, dict[str, float]]:
-    """By map ``median_sd``, ``determined_share`` (below 0.1); the median ``with_look_alikes`` if known."""
+    """By map ``median_sd``, ``determined_share`` (sd below 0.1), the median ``with_look_alikes`` if known."""
     found = {}
     for name, value in alone.items():
         texels = of_texels(value)

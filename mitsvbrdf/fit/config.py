@@ -21,10 +21,10 @@ from .fixed_maps import stated_maps
 
 POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps", "materials",
             "similarity", "spread", "relief", "noise", "pictures", "discriminator_rate")
-MOST = {"width": 4096, "materials": 65536, "pictures": 1024}  # what takes memory
+MOST = {"width": 4096, "materials": 65536, "pictures": 1024}  # largest values of settings that take memory
 
-# A setting that is on or off. Help names the option that changes it, which for one that is on begins with
-# --no-.
+# A setting that is on or off. Help names the option that changes it; where the default is on, that option
+# begins with --no-.
 Switch = Annotated[bool, arg(
     help_behavior_hint=lambda on: "This turns it off. (default: on)" if on == "True" else "(default: off)")]
 
@@ -36,7 +36,7 @@ def check_seed(seed: int) -> None:
 
 
 def check_numbers(config: Any, positive: Sequence[str]) -> None:
-    """Raise ConfigError for a number out of range; those named here may not be 0."""
+    """Raise ConfigError for a number out of range; the settings named in ``positive`` may not be 0."""
     check_seed(config.seed)
     for name, value in vars(config).items():
         if isinstance(value, bool) or not isinstance(value, (int, float)) or name == "seed":
@@ -45,7 +45,7 @@ def check_numbers(config: Any, positive: Sequence[str]) -> None:
         if not (value > 0 or value == 0 and name not in positive) or value > most:
             raise ConfigError(f"{name} {least} and <= {most:g}", str(value), "give such a number")
 
-LARGE = 1024  # texels a side; the default seconds suffice for so many
+LARGE = 1024  # texels a side up to which the default seconds suffice
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class FitConfig:
     """One grey specular level a texel instead of three channels."""
 
     def check(self) -> None:
-        """Raise ConfigError for other kinds, numbers out of range, and words that are no choice."""
+        """Raise ConfigError for wrong types, numbers out of range, and words that are no choice."""
         check_fields(self)
         for name, kind in get_type_hints(type(self)).items():
             if get_origin(kind) is Literal and getattr(self, name) not in get_args(kind):
@@ -83,7 +83,7 @@ class FitConfig:
         check_numbers(self, POSITIVE)
 
     def limited(self, resolution: int) -> FitConfig:
-        """Itself with the method's default limit where none was given, longer for large maps."""
+        """These settings, with the method's default limit where none was given; large maps get longer."""
         if self.budget is not None or self.iterations is not None:
             return self
         limit = self.default_limit
@@ -93,7 +93,7 @@ class FitConfig:
 
     @property
     def falloff(self) -> Falloff:
-        """The light that the method takes for granted."""
+        """The light falloff that the method assumes."""
         return "inverse-square"
 
     @property
@@ -109,12 +109,12 @@ class FitConfig:
 
     @property
     def holds_views(self) -> bool:
-        """Whether the views stay as the capture has them, stated or not, as asked for."""
+        """Whether the user asks to keep the views as the capture has them, stated or not."""
         return getattr(self, "calibrate", None) is False
 
     @property
     def refines_views(self) -> bool | None:
-        """Whether each view is refined; None: a stated view only if the photos do not follow the model."""
+        """Whether each view is refined; None: stated views only if the photos do not follow the model."""
         return getattr(self, "calibrate", False)
 
     @property
@@ -140,7 +140,7 @@ class HierarchicalConfig(FitConfig):
     highlight_reach: float = 2.0
     """Lobe widths from a highlight at which pixels begin to count less. 0: all count alike. Real photos."""
     remove_burn_in: Switch = True
-    """Removal from specular and roughness of what follows the highlights of the photos. Real photos only."""
+    """Removal of patterns that follow the highlights from specular and roughness. Real photos only."""
     noise: float | None = None
     """Noise of real photos in display values. A higher value keeps less detail. Default: cross-validation."""
     neighbours: Switch = True
@@ -172,7 +172,7 @@ class HybridConfig(FitConfig):
     adversarial: float = 0.002
     """Weight of the adversarial loss. 0 omits the discriminator."""
     smooth: float = 0.01
-    """Weight of the roughness of the specular and roughness maps (total variation)."""
+    """Weight of the total variation of the specular and roughness maps."""
     flat: float = 0.02
     """Weight of the tilt of the normals."""
     flash_offset: Switch = True
@@ -190,6 +190,6 @@ class DirectConfig(FitConfig):
     photometric: float = 1.0
     """Weight of the re-rendering error over all photos (|e| + 5 e^2 in display values)."""
     smooth: float = 0.01
-    """Weight of the roughness of the specular and roughness maps (total variation)."""
+    """Weight of the total variation of the specular and roughness maps."""
     flat: float = 0.02
     """Weight of the tilt of the normals."""

@@ -47,7 +47,7 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
     if told:
         svbrdf, views = with_light_power(svbrdf, told), replace(views, intensity=views.intensity * told)
         seen, spreads, alike = _looked_at(svbrdf, views, own, basis)
-    # Of all photos: where each has a camera and a flash of its own besides, they move around what is common.
+    # The mean over all photos: cameras and flashes of single photos may move around this common offset.
     moved = (views.light - views.camera) - (capture.views.light - capture.views.camera)
     x, y = (moved.mean(dim=0)[:2] / views.size).tolist()
     calibration = views_record(capture, views, task.estimated, *method.views_deviation, told)
@@ -102,7 +102,7 @@ def _looked_at(svbrdf: SVBRDF, views: Views, task: FitTask, basis: Tensor | None
 
 def _stated_views(capture: Capture, views: Views, offset: tuple[float, float],
                   told: float | None) -> Views | None:
-    """The stated views with common changes; None where no single view moved or none is stated."""
+    """The stated views with the changes common to all; None if no single view moved or none is stated."""
     given = capture.views
     stated = replace(shift_lights(given, offset), intensity=given.intensity * (told or 1.0))
     pairs = ((stated.camera, views.camera), (stated.light, views.light), (stated.intensity, views.intensity))
@@ -112,7 +112,7 @@ def _stated_views(capture: Capture, views: Views, offset: tuple[float, float],
 
 def views_record(capture: Capture, views: Views, estimated: EstimatedViews | None, refined: Tensor | None,
                  flash: Tensor | None, light_power_factor: float | None = None) -> dict:
-    """What a fit knows of its views and how surely, in patch sides, for ``fit.json`` (docs/formats.md).
+    """Views of a fit and their standard deviations, in patch sides, for ``fit.json`` (docs/formats.md).
 
     Args:
         capture: the photos, with the views that the fit began with.

@@ -14,7 +14,7 @@ from ..material.maps import CHANNELS, SVBRDF, Bsdf, flat
 
 
 def stated_maps(fix: Sequence[str], bsdf: Bsdf, grey_specular: bool = False) -> dict[str, str]:
-    """What ``--fix`` says, as map name -> value, checked but for the files it names.
+    """The values of ``--fix``, map name -> value, checked; the files that it names are not read.
 
     Each is ``NAME=VALUE``; a value is ``flat`` (normal), a number, three numbers ``r,g,b``, or an image file.
 
@@ -44,7 +44,7 @@ def stated_maps(fix: Sequence[str], bsdf: Bsdf, grey_specular: bool = False) -> 
 def fixed_maps(fix: Sequence[str], bsdf: Bsdf, resolution: int) -> dict[str, Tensor]:
     """The fixed maps, name -> R x R x C, float32, linear. A constant takes no memory: its strides are 0.
 
-    Files are read as those of a folder of maps, and brought to R by area averages.
+    Files are read like those of a folder of maps, and resized to R (area averages down, bilinear up).
 
     Raises:
         ConfigError: see :func:`stated_maps`; a file that is not there; roughness to fit without a specular
@@ -59,7 +59,7 @@ def fixed_maps(fix: Sequence[str], bsdf: Bsdf, resolution: int) -> dict[str, Ten
 
 
 def unknown_but(fixed: Mapping[str, Tensor], bsdf: Bsdf, resolution: int, grey_specular: bool) -> SVBRDF:
-    """A material of which only the fixed maps are known: the others want a gradient."""
+    """A material of which only the fixed maps are known; the other maps require a gradient."""
     def unknown(name: str, channels: int) -> Tensor:
         own = 1 if grey_specular and name == "specular" else channels
         return torch.ones(own, requires_grad=True).expand(resolution, resolution, channels)

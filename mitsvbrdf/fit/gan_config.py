@@ -29,13 +29,13 @@ _MINUTES: dict[str, Any] = {
     "diffuse": 5.0, "smooth": 1.0, "flash_offset": True}
 PRESETS: dict[str, dict[str, Any]] = {
     "minutes": _MINUTES, "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
-# What a game from solved maps looks at; the other settings are those of the game from the guess.
+# Settings that a game from solved maps uses; the other settings belong to the game from the guess.
 OF_SOLVED = "guess", "grey_specular", "start", "flash_offset"
-FEWEST = 4  # photos, of which a game from solved maps can hold patches out
+FEWEST = 4  # photos that a game from solved maps needs to hold patches out
 
-# Side of the coarsest phase, texels: below it a discriminator has too few patches to learn anything but each
-# photo by heart (128 px, four known materials, equal time: mean map RMSE .069 from 64 px on, .076 from 32 px
-# on; the start has .085).
+# Side of the coarsest phase, texels: below it a discriminator has so few patches that it only memorises the
+# photos (128 px, four known materials, equal time: mean map RMSE .069 from 64 px on, .076 from 32 px on; the
+# start has .085).
 SMALLEST = 64
 AS_PRESET: Any = None  # not given: GanConfig fills in what its preset has
 
@@ -68,7 +68,7 @@ class GanConfig(FitConfig):
     generator: GeneratorKind = AS_PRESET
     """all-photos: ours. two-stream: the paper's, sees one photo."""
     start: Start | None = AS_PRESET
-    """solved: the default method's maps; guess: default beside a setting below; untrained: the paper's."""
+    """solved: the default method's maps; guess: default with a setting below; untrained: the paper's."""
     width: int = AS_PRESET
     """Channels of the first convolution of both networks."""
     learning_rate: float = AS_PRESET
@@ -90,11 +90,11 @@ class GanConfig(FitConfig):
     adversarial: float = AS_PRESET
     """Weight of the adversarial loss."""
     features: float = AS_PRESET
-    """Weight of feature matching: activations of the discriminator for rendering and photo."""
+    """Weight of feature matching: distance of the discriminator's activations for rendering and photo."""
     diffuse: float = AS_PRESET
     """Weight of the diffuse loss beside the adversarial loss (the paper prints none)."""
     smooth: float = AS_PRESET
-    """Weight of the roughness of the specular and roughness maps (total variation)."""
+    """Weight of the total variation of the specular and roughness maps."""
     flash_offset: Switch = AS_PRESET
     """One sideways distance between lens and flash, fitted for all photos. The paper's is 0."""
 
@@ -112,12 +112,12 @@ class GanConfig(FitConfig):
 
     @property
     def begins(self) -> Start:
-        """Where the generator begins; without ``start``, at the guess if a setting of that game is given."""
+        """Where the generator begins; default: the guess if a setting of its game is given, else solved."""
         return self.start or ("guess" if self._of_guess else "solved")
 
     @property
     def _of_guess(self) -> list[str]:
-        """Settings given that only the game from the guess has."""
+        """Names of the given settings that only the game from the guess has."""
         usual = PRESETS[self.preset] | {"crop": 0}
         return [name for name, value in usual.items()
                 if name not in OF_SOLVED and getattr(self, name) not in (AS_PRESET, value)]
@@ -174,7 +174,7 @@ class GanConfig(FitConfig):
 
     @property
     def falloff(self) -> Falloff:
-        """None in the paper: its light keeps its power however far it goes."""
+        """The light falloff; ``none`` in the paper, where distance does not weaken the light."""
         return "none" if self.of_paper else "inverse-square"
 
     @property
@@ -184,7 +184,7 @@ class GanConfig(FitConfig):
 
     @property
     def default_limit(self) -> dict:
-        """Seconds of ours; the paper's iterations, without those that the checkpoint has had."""
+        """Seconds for our preset; iterations for the paper's, less those that the checkpoint has had."""
         if not self.of_paper:
             return super().default_limit
         first, second = self.stages

@@ -32,7 +32,7 @@ class LiveState:
 
 
 class Live:
-    """Passes the state of a fit on, at most once in :data:`SECONDS`, and in :data:`SHARE` of the time.
+    """Shows the state of a fit, at most once every :data:`SECONDS`, for at most :data:`SHARE` of the time.
 
     Args:
         show: what gets each state. If it raises OutputError, that state is not shown.

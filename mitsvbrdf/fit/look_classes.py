@@ -1,11 +1,11 @@
-"""Look classes: what the texels of a material that repeats itself are, by one photo of it.
+"""Look classes: the texels of a material that repeats itself, found from one photo of it.
 
 A stationary material has the same distribution of texels at each place (Aittala et al. 2015, 2016; Zhao et
 al. 2020). The flash lights each place under another half angle, so all pixels together show the distribution
-under all half angles of the photo. It is a mixture of a few classes. A class has one specular colour,
-diffuse colours and roughnesses around a mean, and normals around the flat one. The classes are those by which
-the pixels are likeliest, each pixel averaged over what it may be (marginal likelihood). A texel is then its
-mean over classes, normals, roughnesses and colours, given its pixel (empirical Bayes; Robbins 1956).
+under all half angles of the photo. The distribution is a mixture of a few classes. A class has one specular
+colour, diffuse colours and roughnesses around a mean, and normals around the flat one. The classes maximise
+the likelihood of the pixels, each pixel averaged over what it may be (marginal likelihood). A texel is then
+its mean over classes, normals, roughnesses and colours, given its pixel (empirical Bayes; Robbins 1956).
 """
 
 from __future__ import annotations
@@ -27,22 +27,22 @@ from ..material.maps import SVBRDF
 from ..views import Views, texel_positions
 from .hierarchical.lobes import KINDS, METAL
 
-CLASSES = 5  # those that the photo does not need share their look with others
-NOISE = 0.01  # of display values: 8 bits, and what so few classes lack
-TAIL = 0.15  # by what slopes of normals have longer tails than normal numbers, a squared deviation
-MODEL = 0.03  # share of a lobe that its model lacks
+CLASSES = 5  # classes that the photo does not need look like others
+NOISE = 0.01  # of display values: 8 bits, and what so few classes do not explain
+TAIL = 0.15  # slopes have longer tails than normal numbers: relative growth for each squared deviation
+MODEL = 0.03  # error of the model of a lobe, as a share of the lobe
 PARTS = Layout(diffuse=(CLASSES, 3), lightness=(CLASSES,), tint=(CLASSES,), specular=(CLASSES, 3),
                roughness=(CLASSES,), worn=(CLASSES,), relief=(CLASSES,), share=(CLASSES,), place=(3,),
                power=())
 RANGES = {"lightness": (0.02, 1.0), "tint": (0.004, 0.2), "worn": (0.02, 0.6), "relief": (0.005, 1.0)}
 BEGUN = {"lightness": 0.15, "tint": 0.02, "worn": 0.1}
-# Beforehand: deviations of roughness from the mean of all classes and of channels of specular from their
-# mean; logs of a relief, and its deviation; place of the camera in sides, log of its height; of power.
+# Priors, as deviations: roughness from the mean of all classes; channels of specular from their mean; log of
+# a relief (its mean, its deviation); place of the camera in sides and log of its height; log of the power.
 ROUGHNESS, TINT, RELIEF, PLACE, POWER = 0.15, 0.05, (-2.0, 1.0), 0.15, 0.7
-SURE = 16.0  # times as sure is where and how strong the flash is, and that F0 is a dielectric's or any other
-BRIGHT, DARK = 1e-4, 1e-5  # least of linear colours, of classes and of texels
+SURE = 16.0  # weight of two log priors: place and power of the flash, and F0 (a dielectric's or any other)
+BRIGHT, DARK = 1e-4, 1e-5  # least linear colour of a class, and of a texel
 TINY = 1e-12  # least variance of a log; least radiance of white, in a channel without light
-RINGS, EVEN = 8, 0.02  # of equal half angle whose texels are alike; deviation of texels that nothing shows
+RINGS, EVEN = 8, 0.02  # rings of equal half angle, whose texels are alike; deviation too small to be shown
 
 
 class Pixels(NamedTuple):
@@ -68,7 +68,7 @@ class Pixels(NamedTuple):
 
 
 class Posterior(NamedTuple):
-    """Log of how likely K classes and J nodes are with M pixels, and what texels then are."""
+    """Log likelihoods of K classes and J nodes for M pixels, and what the texels then are."""
 
     likely: Tensor  # M x K x J
     slopes: Tensor  # of the normals, M x K x J x 2
@@ -77,11 +77,11 @@ class Posterior(NamedTuple):
 
 
 class LookClasses:
-    """K look classes, by the numbers of :data:`PARTS` without bounds: each in its range.
+    """K look classes, made of the unbounded numbers of :data:`PARTS`; each value is in its range.
 
-    ``lightness`` is the deviation of diffuse colours along their mean over it, ``tint`` that of each channel
-    in linear^(1/2.2), ``worn`` that of the log of roughness, ``relief`` that of a normal's slope. ``place``
-    and ``power`` are changes of the stated view, 0 where it is held.
+    ``lightness`` is the relative deviation of diffuse colours along their mean, ``tint`` the deviation of
+    each channel in linear^(1/2.2), ``worn`` that of the log of roughness, ``relief`` that of a normal's
+    slope. ``place`` and ``power`` are changes of the view of the capture, 0 where it is held.
     """
 
     def __init__(self, numbers: Tensor, views: Views, held: bool) -> None:
@@ -107,7 +107,7 @@ class LookClasses:
             relief=np.log(relief), **{name: math.log(value) for name, value in BEGUN.items()})).float()
 
     def lit(self, at: Tensor) -> tuple[Tensor, Tensor]:
-        """Slopes of half vectors, M x 2, and radiance of a white texel that faces these, M x 3."""
+        """Slopes of half vectors, M x 2, and radiance of white texels that face the half vectors, M x 3."""
         texel = torch.cat((at, torch.zeros_like(at[:, :1])), dim=1)
         light, camera = (place[0] + self.moved - texel for place in (self.views.light, self.views.camera))
         reach = light.square().sum(dim=1, keepdim=True) if self.views.falloff == "inverse-square" else (
@@ -119,13 +119,13 @@ class LookClasses:
     def posterior(self, pixels: Pixels, nodes: Tensor) -> Posterior:
         """What M pixels may be, at nodes M x J x 3: standard normal numbers of slopes and log roughness.
 
-        A narrow lobe explains a pixel by slopes on a thin ring around the half vector. Few nodes meet it, so
-        a node stands for its surroundings, where the lobe is linear in these numbers.
+        A narrow lobe explains a pixel by slopes on a thin ring around the half vector. Few nodes lie on that
+        ring, so a node stands for its surroundings, where the lobe is linear in these numbers.
         """
         q, white = self.lit(pixels.at)
         q, noise = q[:, None, None], (pixels.noise / white)[:, None, None]
         wide = nodes.shape[1] ** (-1 / 3)  # standard deviations
-        nodes = nodes * math.sqrt(1 - wide**2)  # with what is around them as wide as before
+        nodes = nodes * math.sqrt(1 - wide**2)  # together with their surroundings as wide as before
         tail = 1 + TAIL * nodes[..., :2].square().sum(dim=-1)[:, None]
         slopes = (nodes[:, None, :, :2] * tail[..., None]) * self.relief[None, :, None, None]
         worn = (nodes[:, None, :, 2] * self.worn[:, None]).exp()
@@ -145,9 +145,9 @@ class LookClasses:
         off = (pixels.shown / white)[:, None, None] - cosine * mean - glossy
         off = torch.where(pixels.clipped[:, None, None] & (off < 0), 0.0, off)
         tint = (2.2 * self.tint[:, None, None] * mean.clamp_min(BRIGHT) ** (1.2 / 2.2)) ** 2
-        # given, not sought: else a model of exact photos shrinks its lobe to shrink this noise
+        # detached: otherwise a model of exact photos would shrink its lobe to shrink this noise
         own = cosine**2 * tint + noise**2 + (MODEL * glossy.detach()) ** 2
-        # two normal numbers besides, of lightness and of the lobe: integrated out
+        # two further normal numbers, of lightness and of the lobe, are integrated out
         light, shine = (cosine * self.lightness[:, None, None] * mean,
                         glossy * (slope2 + rough2 + TINY).sqrt()[..., None])
         pull, push = ((by * off / own).sum(-1) for by in (light, shine))
@@ -157,19 +157,19 @@ class LookClasses:
         lighter, shinier = (two * pull - both * push) / worth, (one * push - both * pull) / worth
         chi2 = (off**2 / own).sum(-1) - pull * lighter - push * shinier
         likely = (-(chi2 + own.log().sum(-1) + worth.log()) / 2 + self.share[:, None]
-                  - white.log().sum(-1)[:, None, None])  # of the radiance shown, not of its share of white
+                  - white.log().sum(-1)[:, None, None])  # density of the radiance, not of its ratio to white
         left = off - light * lighter[..., None] - shine * shinier[..., None]
         gain = self.lightness[:, None, None] * mean * lighter[..., None] + cosine * tint * left / own
         return Posterior(likely - math.log(nodes.shape[1]), slopes, roughness, (mean + gain).clamp(0, 1))
 
     def prior(self) -> Tensor:
-        """Log of how likely the numbers are beforehand."""
+        """Log of the prior probability of the numbers."""
         encoded = color.encode(self.specular.clamp_min(BRIGHT))
         level, (mean, spread, tint, share) = encoded.mean(dim=1), KINDS[0]
         colour = (encoded - level[:, None]).square().sum(dim=1) / 2
         usual = (math.log(share / spread / math.sqrt(2 * math.pi) * (TINT / tint) ** 2)
                  - ((level - mean) / spread) ** 2 / 2 - colour / tint**2)
-        between = ((METAL - level).clamp_min(0) / KINDS[1][1]) ** 2 / 2  # few materials are
+        between = ((METAL - level).clamp_min(0) / KINDS[1][1]) ** 2 / 2  # few materials lie there
         specular = SURE * torch.logaddexp(usual, math.log(1 - share) - colour / TINT**2 - between)
         apart = (self.roughness - (self.share.exp() * self.roughness).sum()) / ROUGHNESS
         rough = (self.relief.log() - RELIEF[0]) / RELIEF[1]
@@ -178,7 +178,7 @@ class LookClasses:
 
     @staticmethod
     def texels(found: Posterior, specular: Tensor) -> Tensor:
-        """Means of texels: diffuse and specular as linear^(1/2.2), roughness, unit normal; M x 10."""
+        """Means of texels: diffuse and specular as linear^(1/2.2), roughness, unit normals; M x 10."""
         weight = torch.softmax(found.likely.flatten(1), dim=1).reshape(found.likely.shape)
         normal = F.normalize(F.pad(found.slopes, (0, 1), value=1.0), dim=-1)
         each, diffuse = weight[..., None], color.encode(found.diffuse.clamp_min(DARK))
@@ -188,16 +188,16 @@ class LookClasses:
 
     @staticmethod
     def lost(found: Posterior) -> Tensor:
-        """Variance of slopes that means of texels lack, an axis, M."""
+        """Variance of slopes that the means of texels lack, averaged over both axes, M."""
         weight = torch.softmax(found.likely.flatten(1), dim=1).reshape(found.likely.shape)[..., None]
         mean = (weight * found.slopes).sum((1, 2))
         return ((weight * found.slopes**2).sum((1, 2)) - mean**2).mean(dim=1)
 
     def uneven(self, found: Posterior, at: Tensor) -> tuple[Tensor, Tensor]:
-        """How much texels differ between rings of equal half angle, and how much those of a stationary
-        material do by chance.
+        """How much texels differ between rings of equal half angle, and how much texels of a stationary
+        material do so by chance.
 
-        The variances of their rings' means over their own, summed over the numbers of a texel.
+        Each is the variance of the means of rings over the variance of texels, summed over a texel's numbers.
         """
         texels = self.texels(found, self.specular)
         rings = texels[self.lit(at)[0].norm(dim=1).argsort()].tensor_split(RINGS)
@@ -207,7 +207,7 @@ class LookClasses:
 
 
 def material(texels: Tensor, lost: Tensor, side: int) -> SVBRDF:
-    """The material of means of texels, M x 10, whose lobes take the variance ``lost`` of slopes, M.
+    """The material of texels M x 10 (means); its lobes are widened by the variance ``lost`` of slopes, M.
 
     Source: Toksvig 2005, "Mipmapping Normal Maps".
     """

@@ -26,7 +26,7 @@ from .warnings import about_photos, about_steps
 
 CHECKPOINT_SECONDS = 30.0
 MAX_UNDONE = 20
-# what a run goes on from beside tensors
+# what a checkpoint holds beside tensors, as types
 NOTE = {"iteration": int, "seconds": NUMBER, "undone": [{"iteration": int, "reason": str}],
         "best_rmse": NUMBER, "trace": [{str: NUMBER}]}
 
@@ -94,7 +94,7 @@ class Loop:
         self._record(seen, {})
 
     def _advance(self, good: dict[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, float]]:
-        """One step, taken back to the state ``good`` where its result is not finite.
+        """One step; if its result is not finite, the method goes back to the state ``good``.
 
         Gives the state to go back to next time, and the losses.
         """
@@ -115,20 +115,20 @@ class Loop:
 
     def _checked(self, good: dict[str, Tensor], losses: dict[str, float], whole: bool = False
                  ) -> tuple[dict[str, Tensor], dict[str, float], Seen]:
-        """The present state, its losses and its look; if not finite, the one before without losses."""
+        """The present state, its losses and its look; if not finite, those of ``good``, without losses."""
         seen = self._look(whole)
         if not isinstance(seen, str):
             return self.method.state(), losses, seen
         good = self._undo(good, seen)
         seen = self._look(whole)
-        if isinstance(seen, str):  # a state resumed from need not render well
+        if isinstance(seen, str):  # a resumed state may not give finite renderings
             assert self.best is not None
             seen = self.best
         return good, {}, seen
 
     def _look(self, whole: bool = False) -> Seen | str:
-        """Error, maps and views of the present state (of a sample, where that does and the whole is not
-        asked for), or the name of what in it is not finite.
+        """Error, maps and views of the present state, or the name of what is not finite in it. A sample is
+        measured where the method gives one, unless ``whole`` is asked for.
         """
         for name, value in self.method.state().items():
             if not finite(value):
@@ -189,7 +189,7 @@ class Loop:
             self.best = seen
         entry = {"seconds": round(self.seconds, 3), "iteration": self.iteration, **losses,
                  "rerender_rmse": seen[0]}
-        if self.trace and self.trace[-1]["iteration"] == self.iteration:  # of a sample
+        if self.trace and self.trace[-1]["iteration"] == self.iteration:  # measured on a sample
             entry = self.trace.pop() | entry
         self.trace.append(entry)
         if self.report:
@@ -199,7 +199,7 @@ class Loop:
         return fingerprints(self.config, self.capture, self.renderer.name, self.method.fixed)
 
     def save(self) -> None:
-        """Write the checkpoint: tensors, and the trace as text in its header; none of a broken state."""
+        """Write the checkpoint: tensors, and the trace as text in its header; not if the state is broken."""
         assert self.checkpoint is not None
         state = self.method.state()
         if not all(map(finite, state.values())):

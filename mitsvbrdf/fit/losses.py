@@ -13,8 +13,8 @@ from .. import color
 from ..color import CLIPPED
 from ..material.maps import CHANNELS, SVBRDF, Bsdf
 
-# The losses with a weight, what a user calls them, and the maps they speak about (none: those speak about the
-# photos).
+# The losses with a weight, and their names for users; ABOUT: the maps that a loss concerns (a loss not
+# listed there concerns the photos).
 NAMES = {"photometric": "photometric loss", "diffuse": "diffuse loss",
          "smooth": "smoothness of specular and roughness",
          "flat": "price on tilted normals", "adversarial": "adversarial loss", "features": "feature matching"}
@@ -41,9 +41,9 @@ def weighted(terms: Mapping[str, Tensor], weights: Mapping[str, float]) -> Tenso
 
 
 def photometric(rendered: Tensor, photos: Tensor, transfer: color.Transfer) -> Tensor:
-    """Mean of |e| + 5 e^2 of the error e in display values; a clipped pixel only asks for at least that.
+    """Mean of |e| + 5 e^2 of the error e in display values; at clipped pixels only too dark values count.
 
-    The absolute part is robust, the squared part keeps highlights, few and bright, from being given up.
+    The absolute part is robust; the squared part keeps the few bright highlights from being given up.
     Measured on `cards-blue` at equal time, against the absolute part alone: photos seen 0.0369 -> 0.0342,
     left out 0.0628 -> 0.0616.
 
@@ -85,7 +85,7 @@ def edge_weights(guess: Tensor, sharpness: float = 10.0) -> Tensor:
 
 
 def tilt(svbrdf: SVBRDF) -> Tensor:
-    """Mean of the sine of the normals' tilt: flat unless the photos pay for relief (ours)."""
+    """Mean of the sine of the normals' tilt; it keeps normals flat unless the photos need relief (ours)."""
     x, y = svbrdf["normal"][..., 0], svbrdf["normal"][..., 1]
     return torch.sqrt(x**2 + y**2 + 1e-8).mean()
 
@@ -108,13 +108,13 @@ def discriminator(real: Tensor, fake: Tensor, game: Game = "bce") -> Tensor:
 
 
 def adversarial(real: Tensor, fake: Tensor, game: Game = "bce") -> Tensor:
-    """What the generator minimises, of the same logits; ``bce`` is -log of the probability of a photo."""
+    """What the generator minimises, of the same logits; ``bce``: -log of the probability of being a photo."""
     if game == "relativistic":
         return F.softplus(real - fake).mean()
     return -fake.mean() if game == "hinge" else F.softplus(-fake).mean()
 
 
 def features(real: Sequence[Tensor], fake: Sequence[Tensor]) -> Tensor:
-    """Mean distance of activations, each layer in units of the photo's mean (Salimans 2016)."""
+    """Mean distance of activations; the unit of a layer is its mean size for photos (Salimans 2016)."""
     return torch.stack(
         [(f - r).abs().mean() / r.abs().mean().clamp_min(1e-3) for r, f in zip(real, fake)]).mean()

@@ -29,7 +29,7 @@ class Method(ABC, Generic[Config]):
         self.pace = 1.0  # factor of all step sizes
 
     def compared(self, rendered: Tensor) -> Tensor:
-        """Renderings (linear, N x R x R x 3) with the photos where these are masked: no error is there."""
+        """Renderings (linear, N x R x R x 3); masked pixels get the photo's values, so they have no error."""
         measured = self.capture.measured
         return rendered if measured is None else torch.where(measured[..., None], rendered,
                                                              self.capture.linear.to(rendered))
@@ -70,11 +70,11 @@ class Method(ABC, Generic[Config]):
 
     @property
     def cut_short(self) -> bool:
-        """Whether a part that others follow has not settled."""
+        """Whether a part of the method, on which later parts build, has not settled."""
         return False
 
     def glimpse(self) -> tuple[SVBRDF, Views, Capture] | None:
-        """A small sample of :meth:`estimate` with its photos, while the whole of it is work; else None."""
+        """A small sample of :meth:`estimate` with its photos, while the whole takes long; else None."""
         return None
 
     def preview(self) -> SVBRDF | None:
@@ -95,7 +95,7 @@ class Method(ABC, Generic[Config]):
 def descend(total: Tensor, *optimizers: torch.optim.Optimizer) -> float:
     """One step of each optimiser down the gradient of ``total``, unless that gradient is not finite.
 
-    Gives 0, or NaN where no step was made: logged as a loss, it makes the loop undo.
+    Gives 0, or NaN where no step was made; a NaN that is logged as a loss makes the loop undo.
     """
     for optimizer in optimizers:
         optimizer.zero_grad(set_to_none=True)

@@ -11,7 +11,7 @@ from .hierarchical.omitted import decided_later, omitted_stages
 from .posterior import step_of
 from .task import FitTask
 
-# Of the methods that solve every texel by itself.
+# Reasons, for methods that solve every texel by itself.
 _NO_GENERATOR = ("each texel is solved by itself, and at equal time that errs less in the maps: "
                  "docs/results/benchmark.md")
 _LOOKS = "texels are means over the looks of the photo"
@@ -44,7 +44,7 @@ def omitted_by(task: FitTask, views: Views | None = None) -> list[Omitted]:
 
 
 def explained(task: FitTask) -> tuple[list[Omitted], list[Omitted]]:
-    """What a fit omits whatever its photos show, and what it decides later; there ``why`` says when."""
+    """What a fit omits whatever its photos show, and what it may omit; there ``why`` states the condition."""
     if not isinstance(task.config, HierarchicalConfig) or task.of_looks:
         return omitted_by(task), []
     return omitted_by(task) + omitted_stages(task), decided_later(task)

@@ -1,6 +1,6 @@
 """The fit of one photo of a material that repeats itself, by look classes.
 
-Its lobes are checked by the photo: the maps, laid elsewhere, must resemble it (:func:`.repeats.unlike`).
+The photo checks the lobes: the maps, shifted and rendered, must resemble it (:func:`.repeats.unlike`).
 """
 
 import math
@@ -22,23 +22,23 @@ from .repeats import unlike
 from .start import robust_start
 from .task import FitTask
 
-# Roughness and F0 of classes that begin with the looks of pixels, and of metals, without diffuse colours.
+# Roughness and F0 of starts: LOOKS with the diffuse colours of pixels, METALS with diffuse colour BLACK.
 LOOKS = (0.2, 0.04), (0.4, 0.04), (0.7, 0.04)
 METALS, BLACK = ((0.3, 0.1), (0.25, 0.3), (0.25, 0.7), (0.45, 0.5)), 0.02
-# Reliefs of their classes: equal classes would have equal gradients and stay equal.
+# Reliefs of classes: those of metals differ, else equal classes would have equal gradients and stay equal.
 ALIKE, APART = (0.1,) * CLASSES, tuple(0.1 * 2.0 ** (k - CLASSES // 2) for k in range(CLASSES))
-TRIED, STEPS, ITERATIONS = 50, 80, 10  # descents of a start and of the best one, and those of a step
-AGAIN = 3  # likeliest starts, which descend once more before one is chosen: the first descents do not tell
-FEW, SOME, MANY = 512, 1024, 1536  # pixels of a descent: of all, of the likeliest, of the best
-NODES, MORE, MOST = 16, 24, 64  # what a pixel is averaged over: in descents of all, of others, in the end
-RATES = 0.06, 0.04, 0.03  # of Adam for all starts, for the likeliest and for the best one
-BEFOREHAND = 1e-3  # weight of what is known beforehand, beside the log likelihood of a pixel
+TRIED, STEPS, ITERATIONS = 50, 80, 10  # Adam's steps from a start, from the best one, in a step of the method
+AGAIN = 3  # likeliest starts, which descend once more before one is chosen: the first descents do not decide
+FEW, SOME, MANY = 512, 1024, 1536  # pixels of a descent: from all starts, from the likeliest, from the best
+NODES, MORE, MOST = 16, 24, 64  # nodes of a pixel: in descents from all starts, in later ones, in the end
+RATES = 0.06, 0.04, 0.03  # Adam's step sizes: for all starts, for the likeliest and for the best one
+BEFOREHAND = 1e-3  # weight of the log prior, beside the log likelihood of a pixel
 STATIONARY = 1.0  # weight of how uneven texels are, beside the log likelihood of a pixel
-UNLIKELIEST = -60.0  # log likelihood of a pixel that no class explains, at least
+UNLIKELIEST = -60.0  # least log likelihood of a pixel, for pixels that no class explains
 CHUNK = 2048  # pixels at once
 WORST = 1e30  # cost of a start that was not tried, or is not finite
-# How often lobes take the slopes that means of texels lack, where the maps, laid elsewhere, then differ from
-# the photo by less than half. Twice: slopes have longer tails than normal ones.
+# Factors of the slope variance by which lobes are widened; a factor above 0 is used if the shifted maps then
+# differ from the photo by less than LESS times as much. 2, as slopes have longer tails than normal numbers.
 WIDER, LESS = (0.0, 1.0, 2.0), 0.5
 
 
@@ -69,7 +69,7 @@ class OnePhoto(Method[HierarchicalConfig]):
         self._descend_from(self.tried[0])
 
     def _starts(self) -> Tensor:
-        """Numbers of classes that look as pixels do away from the highlight, with each lobe, a row each."""
+        """Numbers of classes that look like pixels away from the highlight, with each lobe; a row each."""
         flat = LookClasses.start(torch.full((CLASSES, 3), 0.5), *LOOKS[0], ALIKE)
         half, white = LookClasses(flat, self.views, True).lit(self.pixels.at)
         aside = half.norm(dim=1) > half.norm(dim=1).median()
@@ -85,7 +85,7 @@ class OnePhoto(Method[HierarchicalConfig]):
 
     @property
     def last(self) -> int:
-        """Steps of the last descent that were made; less than 0 while starts are tried."""
+        """Number of steps made in the last descent; less than 0 while starts are tried."""
         return self.done_steps - len(self.tried) - AGAIN
 
     @property
@@ -94,7 +94,7 @@ class OnePhoto(Method[HierarchicalConfig]):
         return self.last >= STEPS // ITERATIONS
 
     def step(self, progress: float) -> dict[str, float]:
-        """All descents from a start, once more from one of the likeliest, or the next ones from the best."""
+        """Descend from the next start, again from one of the likeliest, or further from the best one."""
         again = self.done_steps - len(self.tried)
         if self.last >= 0:
             cost = self._descents(ITERATIONS, self.last * ITERATIONS, STEPS, self.pace * RATES[2], MANY, MORE)
@@ -106,7 +106,7 @@ class OnePhoto(Method[HierarchicalConfig]):
         return {"cost": cost}
 
     def _try(self, k: int, of: int, rate: float, pixels: int, many: int) -> float:
-        """Descents from a start; after those from all, the likeliest goes to the front."""
+        """Descend from start ``k``; after the last of the starts, the likeliest goes to the front."""
         self._descend_from(self.tried[k])
         cost = self._descents(TRIED, 0, TRIED, rate, pixels, many)
         if math.isnan(cost):  # such a start is passed over
@@ -120,10 +120,10 @@ class OnePhoto(Method[HierarchicalConfig]):
         return cost
 
     def _descents(self, count: int, first: int, of: int, rate: float, pixels: int, many: int) -> float:
-        """The mean cost of a pixel over the last descents: -log of its marginal likelihood.
+        """The mean cost of a pixel over the last descents: -log marginal likelihood, unevenness and prior.
 
-        What rings differ by chance counts in a descent, so that texels vary no more than they must, and not
-        in the mean: a lobe that hardly shows leaves the numbers of texels without variance.
+        By how much rings differ by chance counts in a descent, so that texels vary no more than they must. It
+        does not count in the mean: a lobe that hardly shows leaves the numbers of texels without variance.
         """
         total, costs = len(self.pixels.at), []
         for k in range(first, first + count):
@@ -172,7 +172,7 @@ class OnePhoto(Method[HierarchicalConfig]):
         return {"numbers": self.numbers, "tried": self.tried, "costs": self.costs, "adam": self.optimizer}
 
     def state(self) -> dict[str, Tensor]:
-        """Also how far it is."""
+        """The state of the parts, and the number of steps done."""
         return super().state() | {"done": torch.tensor(self.done_steps)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:

@@ -62,11 +62,11 @@ class FitOptions:
 
     @property
     def reading(self) -> Reading:
-        """How the numbers of the calibration are meant."""
+        """How to read the numbers of the calibration."""
         return Reading(self.axes, self.side, self.light_factor)
 
     def light(self, config: FitConfig) -> Falloff:
-        """How light falls off: as asked for, else as the method takes for granted."""
+        """The light falloff that is asked for, else the one that the method assumes."""
         return config.falloff if self.falloff == "auto" else self.falloff
 
     def detail_config(self, config: FitConfig) -> DetailConfig | None:
@@ -74,7 +74,7 @@ class FitOptions:
         return DetailConfig(steps=self.detail_steps, seed=config.seed) if self.detail == "gan" else None
 
     def chosen(self, photos: Capture) -> tuple[Capture, Capture | None]:
-        """The photos to fit; and these with held-out ones, as stated, which the page predicts, or None."""
+        """The photos to fit; and, as stated, these with held-out ones, which the page predicts, or None."""
         numbers = photo_numbers(self.views)
         shots = self.reading.of(photos if numbers is None else photos.pick(numbers))
         unused = [number for number in photos.index if number not in shots.index][:PREDICTED]

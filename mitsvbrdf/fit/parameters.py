@@ -10,8 +10,8 @@ from ..material.maps import CHANNELS, SVBRDF, Bsdf
 ROUGHNESS_RANGE = (0.02, 1.0)  # alpha from 4e-4, above where renderers cut it
 MAX_SLOPE = 1.5  # of the normal's x and y over z: 56 degrees along an axis
 
-# Channels the raw numbers take, in this order; a normal is two slopes. Grouped as the paper's two streams
-# (III.D).
+# Channels of the raw maps, in this order, grouped into the paper's two streams (III.D); a normal is two
+# slopes.
 STREAMS: dict[str, tuple[dict[str, int], dict[str, int]]] = {
     "roughconductor": ({"normal": 2, "roughness": 1}, {"diffuse": 3, "specular": 3}),
     "principled": ({"normal": 2, "roughness": 1}, {"base_color": 3, "metallic": 1}),}
@@ -20,7 +20,7 @@ Streams = tuple[dict[str, int], dict[str, int]]
 
 
 def streams_of(bsdf: str, fixed: Mapping[str, Tensor], grey_specular: bool = False) -> Streams:
-    """The channels of the maps to fit: :data:`STREAMS` without fixed maps; one of a grey specular map."""
+    """The channels of the maps to fit: :data:`STREAMS` without fixed maps; a grey specular map has one."""
     first, second = ({name: 1 if grey_specular and name == "specular" else channels
                       for name, channels in stream.items() if name not in fixed} for stream in STREAMS[bsdf])
     return first, second
@@ -29,14 +29,14 @@ def streams_of(bsdf: str, fixed: Mapping[str, Tensor], grey_specular: bool = Fal
 def to_svbrdf(bsdf: Bsdf, raw: Mapping[str, Tensor], fixed: Mapping[str, Tensor] | None = None) -> SVBRDF:
     """A material from raw maps C x R x R of unbounded numbers (normal: 2 x R x R), and fixed maps R x R x C.
 
-    A grey specular map, 1 x R x R, is expanded to three channels: its last stride is 0, which renderers look
-    at.
+    A grey specular map, 1 x R x R, is expanded to three channels: its last stride is 0, and renderers check
+    that.
     """
     return from_units(bsdf, {name: torch.tanh(x) for name, x in before_tanh(raw).items()}, fixed)
 
 
 def before_tanh(raw: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Output of a last layer before Tanh for these raw maps, which are logits but for the normal."""
+    """The numbers before Tanh that give these raw maps; raw maps are logits, except the normal."""
     return {name: x if name == "normal" else x / 2 for name, x in raw.items()}
 
 

@@ -1,14 +1,14 @@
 """What the photos leave open of each texel: mixtures of normal distributions.
 
-From the numbers that explain a texel's own photos best, roughness moves both ways in growing steps, and the
-solver finds the other numbers anew: so the valley is followed in which specular and roughness trade (a tail
-of GGX shows F0 alpha^2 alone). At each step the others are normal (Gauss-Newton), and it weighs
-exp(-chi^2 / 2): a profile likelihood needs no prior. Of a clipped value, only a rendering that is too dark
-counts. The noise is what pixels as bright, and this texel's, are missed by.
+Roughness moves both ways, in growing steps, from the numbers that explain a texel's own photos best; at each
+step the solver finds the other numbers again. So it follows the valley where specular and roughness trade (a
+tail of GGX shows only F0 alpha^2). At a step the other numbers are normal (Gauss-Newton), and the step weighs
+exp(-chi^2 / 2): a profile likelihood needs no prior. At a clipped value, only a rendering that is too dark
+counts. The noise is the error of equally bright pixels, and of this texel's pixels.
 
 Look-alikes, where the fit uses them, give each basis material a mean and a deviation of its shared numbers
-(expectation-maximisation), known no better than by one texel a photo: texels under one light err alike. Of a
-share of its texels, the strangers, only their own photos speak.
+(expectation-maximisation). These are known only as well as one texel a photo tells, since texels under one
+light err alike. For a share of the texels, the strangers, only their own photos count.
 """
 
 import math
@@ -26,25 +26,25 @@ from ..render import Renderer
 from .hierarchical.solver import Observations, TexelSolver
 from .parameters import ROUGHNESS_RANGE
 
-GRID = 64  # texels a side that are asked, at most
+GRID = 64  # most texels a side whose mixture is found
 FLAT = 1 / 12  # variance of a number between 0 and 1 of which nothing else is known
 NODES = 8  # steps of roughness each way, to its bound
 BOUNDS = {"roughness": ROUGHNESS_RANGE, "normal": (-3.0, 3.0)}  # else 0 to 1
-WEAK, FIXED = 1e-3, 1e12  # precisions of numbers that are free, and of a roughness that is not to move
-LIFTED = 0.05  # colours below have the slopes of this one: linear^(1/2.2) is steep at 0
+WEAK, FIXED = 1e-3, 1e12  # precisions of numbers that are free, and of a roughness that is held
+LIFTED = 0.05  # darker colours get the derivatives of this one: linear^(1/2.2) is steep at 0
 BRIGHTNESSES = 12  # of equally many pixels each, with a noise of their own
-LEAST_FREE = 0.05  # share of its values that a texel's unknowns leave for the noise, at least
-CONTRADICTED = 2.0  # deviations of look-alikes from which on they contradict an answer
+LEAST_FREE = 0.05  # least share of a texel's values that its unknowns leave for the noise
+CONTRADICTED = 2.0  # distance, in deviations of look-alikes, from which on they contradict an answer
 ROUNDS, COMMON = 10, 20.0  # of expectation-maximisation; texels that the common deviation counts as
 
 
 def step_of(side: int, most: int = GRID) -> int:
-    """Every so many-th of ``side`` texels is one of ``most`` or fewer."""
+    """A step k for which every k-th of ``side`` texels gives ``most`` texels or fewer."""
     return math.ceil(side / most)
 
 
 class Mixture(NamedTuple):
-    """M texels that may be J things: U numbers x (M x J x U), covariance M x J x U x U, weight M x J."""
+    """M texels of J components each: U numbers x (M x J x U), covariance M x J x U x U, weight M x J."""
 
     x: Tensor
     covariance: Tensor
@@ -64,7 +64,7 @@ class BrightnessNoise(NamedTuple):
 
 
 def lifted(x: Tensor, names: list[str]) -> Tensor:
-    """Numbers (U x ...) at which slopes are taken: no colour is so dark that it has none."""
+    """Numbers (U x ...) at which derivatives are taken: no colour is so dark that it has none."""
     return torch.stack([plane.clamp_min(LIFTED) if name in COLOURS else plane
                         for name, plane in zip(names, x)])
 
@@ -92,7 +92,7 @@ class OwnPhotos:
         self.values = capture.usable.sum(dim=(0, 3)).float()
         self.photos = Observations(capture.photos, capture.views, capture.transfer, 1.0)
         self.best, unknowns = self.answer, len(self.names)
-        for _ in range(3):  # the first noise is that of the answer
+        for _ in range(3):  # the first noise comes from the errors of the answer
             self.noise = self._noise(self.best)
             self.photos = replace(self.photos, weights=self.noise.weights(capture.photos, capture.measured))
             self.best, self.least = self._solved(self.best, 10)
@@ -100,7 +100,7 @@ class OwnPhotos:
         self.refused = refused(self._solved(self.answer, 0)[1], self.values)
 
     def _solved(self, x: Tensor, steps: int, held: int | None = None) -> tuple[Tensor, Tensor]:
-        """The numbers after some steps, U x R x R, one of them held, and chi^2, R x R."""
+        """The numbers after some steps, U x R x R, with number ``held`` fixed, and chi^2, R x R."""
         x = x.contiguous()
         precision = torch.full_like(x, WEAK)
         if held is not None:
@@ -110,7 +110,7 @@ class OwnPhotos:
         return found.x, found.data
 
     def _noise(self, x: Tensor) -> BrightnessNoise:
-        """What pixels as bright are missed by."""
+        """The variance of the errors of equally bright pixels at the numbers ``x``."""
         capture = self.capture
         with torch.no_grad():
             images = self.renderer.render(self.solver.svbrdf(x), capture.views)
@@ -168,7 +168,7 @@ def _along(x: Tensor, lobe: int) -> Tensor:
 
 
 def masses(places: Tensor, log_density: Tensor) -> Tensor:
-    """What nodes (M x J, rising) stand for, rows of sum 1, where the log density is linear between them."""
+    """Probabilities of nodes (M x J, rising), rows of sum 1; the log density is linear between nodes."""
     logs = (log_density - log_density.amax(dim=1, keepdim=True)).double()
     rise = logs.diff(dim=1)
     fall = rise.abs().clamp_min(1e-4)  # of the integral of exp(-fall t) from 0 to 1, and that of t times it
@@ -182,8 +182,8 @@ def masses(places: Tensor, log_density: Tensor) -> Tensor:
 def with_look_alikes(own: Mixture, of: Tensor, member: Tensor, photos: int, answer: Tensor) -> Mixture:
     """What texels may be by their own N photos and those of look-alikes, which share the numbers ``of``.
 
-    ``member`` says how much of each of K basis materials texels are, M x K. Where look-alikes contradict the
-    answer, M x U, it is not they who told it: own photos speak alone.
+    ``member`` holds the shares of K basis materials in the texels, M x K. Where look-alikes contradict the
+    answer, M x U, the answer does not come from them: only own photos count.
     """
     x, weight = own.x[..., of], own.weight.clamp_min(1e-30).log()
     variance = own.covariance.diagonal(dim1=2, dim2=3)[..., of].clamp_min(1e-10)
@@ -228,7 +228,7 @@ def with_look_alikes(own: Mixture, of: Tensor, member: Tensor, photos: int, answ
 
 
 def _given(own: Mixture, of: Tensor, level: Tensor, spread: Tensor, share: Tensor) -> Mixture:
-    """Texels whose numbers ``of`` are normal around ``level``, but for a share that is as it was."""
+    """Texels whose numbers ``of`` are normal around ``level``, except a ``share`` that stays as it was."""
     whole = own.covariance[..., of[:, None], of] + spread.diag_embed()[:, None]
     gain = own.covariance[..., of] @ torch.linalg.inv(whole)
     off = level[:, None] - own.x[..., of]
@@ -242,9 +242,9 @@ def _given(own: Mixture, of: Tensor, level: Tensor, spread: Tensor, share: Tenso
 
 
 def half_width(mixture: Mixture, answer: Tensor, names: list[str], inside: float) -> Tensor:
-    """How far from the answer (M x U) texels' numbers are with this probability, from 1e-4 to 1.
+    """The distance from the answer (M x U), 1e-4 to 1, within which numbers lie with probability ``inside``.
 
-    Colours are normal in linear light. All but slopes are within 0 and 1.
+    Colours are normal in linear light. All numbers but slopes are within 0 and 1.
     """
     coloured = torch.tensor([name in COLOURS for name in names])
     slopes = torch.tensor([name == "normal" for name in names])

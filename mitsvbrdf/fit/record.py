@@ -66,7 +66,7 @@ def record_in(folder: Path) -> dict:
 
 
 def checked(record: dict) -> dict:
-    """The record, where every field that is there is of its kind, and views and light are there.
+    """The record, if every field in it is of its type, and views and light are in it.
 
     ValueError: naming the field.
     """

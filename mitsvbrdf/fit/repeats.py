@@ -13,10 +13,10 @@ from ..material.maps import SVBRDF
 from ..render import Renderer
 from ..views import Views, half_angles
 
-# The test: rings of equal half angle, and blocks of the photo a side; how much of the variance of ranks lies
-# between blocks, and by how much of their lightness blocks differ, where the pattern is as large as they are.
+# The test: rings of equal half angle; blocks a side of the photo; largest share of the variance of ranks that
+# lies between blocks; largest relative difference of their lightness, if the pattern is as large as blocks.
 RINGS, BLOCKS, BETWEEN, CONTRAST = 32, 4, 0.25, 0.05
-PLACES = (-0.2, -0.1, 0.0, 0.1, 0.2)  # sides from the middle, of a flash of which nothing is known
+PLACES = (-0.2, -0.1, 0.0, 0.1, 0.2)  # tried for a flash of unknown place, in sides from the middle
 HARDLY_TOLD = "specular, roughness and normals are hardly determined; take more from other places"
 
 
@@ -25,11 +25,11 @@ class Repeats(NamedTuple):
 
     stationary: bool  # whether it does
     between: float  # how much of the variance of its ranks lies between sixteenths of the photo, 0 to 1
-    contrast: float  # by how much of their lightness these differ
-    asked: bool  # whether the user says so, and not the photo
+    contrast: float  # relative difference of the lightness of these sixteenths
+    asked: bool  # whether the user decided, not the photo
 
     def said(self) -> str:
-        """What is said of it."""
+        """The sentence for users."""
         found = f"{self.between:.0%} of how its lightness varies lies between sixteenths of the photo"
         found += (f", which differ by {self.contrast:.0%}" if self.contrast <= CONTRAST else
                   f" ({BETWEEN:.0%} or less counts as a pattern that repeats itself)")
@@ -43,10 +43,10 @@ class Repeats(NamedTuple):
 def repeats(capture: Capture, asked: bool | None = None) -> Repeats:
     """Whether a photo counts as one of a material that repeats itself.
 
-    Of a flat patch, all pixels of a ring of equal half angle have the same light and the same lobe, so their
-    ranks by lightness are the material's. Of a stationary material they are alike in all blocks of the photo.
-    A flash of which nothing is known stands where they are most alike. ``asked`` is what the user says; None
-    leaves it to the photo.
+    On a flat patch, all pixels of a ring of equal half angle have the same light and the same lobe, so their
+    ranks by lightness come from the material. The ranks of a stationary material are alike in all blocks of
+    the photo. A flash of unknown place is put where they are most alike. ``asked`` is what the user says;
+    None leaves it to the photo.
     """
     shifts = [(0.0, 0.0)] if capture.calibrated else list(itertools.product(PLACES, PLACES))
     between, contrast = min(_uneven(capture, torch.tensor([*shift, 0.0]).double()) for shift in shifts)
@@ -55,7 +55,7 @@ def repeats(capture: Capture, asked: bool | None = None) -> Repeats:
 
 
 def _uneven(capture: Capture, shift: Tensor) -> tuple[float, float]:
-    """Share of the variance of ranks between blocks, and how they differ, with the flash moved (sides)."""
+    """Share of the variance of ranks between blocks; difference of blocks; with the flash moved (sides)."""
     light, side = capture.linear[0].mean(dim=-1).flatten(), capture.resolution
     rank, beside = torch.empty_like(light), torch.empty_like(light)
     half = half_angles(capture.views.carried(shift * capture.views.size), side)[0].flatten()
@@ -67,10 +67,10 @@ def _uneven(capture: Capture, shift: Tensor) -> tuple[float, float]:
 
 
 def unlike(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Renderer) -> float:
-    """By how much a photo of the maps, laid half a side on, differs from the photo: RMSE in display values.
+    """RMSE, in display values, between the photo and renderings of the maps shifted by half a side.
 
-    Compared are sorted pixels of rings of equal half angle. A stationary material looks alike in both, and
-    highlights that are burnt into maps stand at a wrong place.
+    The sorted pixels of rings of equal half angle are compared. A stationary material looks alike in both,
+    and highlights that are burnt into maps appear at a wrong place.
     """
     side, photo = capture.resolution, capture.photos[0].flatten(0, 1)
     rings = half_angles(views, side)[0].flatten().argsort().tensor_split(RINGS)

@@ -28,11 +28,11 @@ from .fixed_maps import described
 from .options import config_of
 from .record import FILE, SCHEMA_VERSION, Fact, checked, missing, record_in
 
-# fields of the record that :meth:`Fit.but` changes there
+# fields that :meth:`Fit.but` changes in the record, too
 _FACTS = "rerender_rmse", "calibrated_rmse", "renderer", "variant", "warnings", "stopped", "trace"
 ALIKE = "with-look-alikes"  # folder of deviations that count look-alikes
-# Median difference of photos averaged to 4 x 4. Of real captures the same photo of 37 px and of 256 differs
-# by 0.008 at most, some photo of another capture by 0.07 and more. A mask changes less than half of it.
+# Largest median difference of equal photos, averaged to 4 x 4. In real captures one photo at 37 and at 256 px
+# differs by 0.008 at most, some photo of another capture by 0.07 and more. A mask changes less than half.
 SAME = 0.02
 
 
@@ -60,7 +60,7 @@ class Fit:
     rerender_rmse = Fact[float]()
     """Error of the re-rendered photos, in display values clipped to [0, 1]."""
     calibrated_rmse = Fact[float | None](None)
-    """The same with stated views and the flash offset; None where these are ``views`` or none is stated."""
+    """The same error in stated views with the flash offset; None if these are ``views`` or none is stated."""
     calibration = Fact[dict]({})
     """What is known of the views and how surely; see :func:`mitsvbrdf.fit.diagnose.views_record`."""
 
@@ -105,7 +105,7 @@ class Fit:
 
     @cached_property
     def svbrdf(self) -> SVBRDF:
-        """The material: of ``hierarchical`` the last state, else that with the lowest re-rendering error."""
+        """The material: the last (``hierarchical``, ``gan`` from solved maps), else that of lowest error."""
         return load_maps(self.path / "maps", self.record["bsdf"])
 
     @cached_property
@@ -131,7 +131,7 @@ class Fit:
         return torch.stack([*map(self.rerendering, range(len(self.names)))])
 
     def rerendering(self, row: int) -> Tensor:
-        """One of :attr:`rerendered`, R x R x 3; of large ones in memory, it is rendered by each call."""
+        """One of :attr:`rerendered`, R x R x 3; for a fit in memory, large ones are rendered at each call."""
         if "rerendered" in self.known:
             return self.rerendered[row]
         if "seen_by" in self.known:
@@ -187,7 +187,7 @@ class Fit:
 
     @property
     def detail_record(self) -> dict | None:
-        """Settings, seconds and losses of the plausible detail, or None."""
+        """Settings, seconds and errors of the plausible detail, or None."""
         return self.record.get("detail")
 
     @cached_property
@@ -197,7 +197,7 @@ class Fit:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """In sentences; see :mod:`mitsvbrdf.fit.warnings`."""
+        """The warnings, in sentences; see :mod:`mitsvbrdf.fit.warnings`."""
         return tuple(self.record["warnings"])
 
     @property
@@ -222,7 +222,7 @@ class Fit:
 
     @cached_property
     def views(self) -> Views:
-        """The views as fitted, the flash offset in their lights; see :attr:`known_views`."""
+        """The views as fitted; their lights contain the flash offset; see :attr:`known_views`."""
         return Views.of(*(self.record["views"][name] for name in ("camera", "light", "intensity", "size",
                                                                   "falloff")))
 
@@ -254,13 +254,13 @@ class Fit:
 
     @property
     def side_metres(self) -> float | None:
-        """Side of its patch; None where no sheet in the photos told the unit of its views."""
+        """Side of the patch in metres; None unless a sheet in the photos told the unit of the views."""
         return self.views.size / 100 if self.calibration.get("from") == "sheet" else None
 
     def of(self, capture: Capture) -> bool:
-        """Whether it was fitted to photos of this capture.
+        """Whether the fit was made from photos of this capture.
 
-        The folders have one name, and photos of one number look the same, as far as the fit keeps them.
+        The folders must have the same name, and photos of the same number, if the fit keeps them, look alike.
         """
         named = (self.capture or "") == capture.name and bool(self.capture or self._kept)
         return named and all(float(np.median(np.abs(images.averaged(photo.numpy(), 4) - self._kept[number])))

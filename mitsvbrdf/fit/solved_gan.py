@@ -1,10 +1,10 @@
 """``gan`` from solved maps: a map is changed only if photos held out of the game are then predicted better.
 
-The default method solves the photos twice: all of them, and all but patches that are held out (of each texel
-one photo). The game of :mod:`.generator.detail` begins at the second answer and sees none of these patches
-either. Each map stays within what the photos leave open. Now and then the change of each set of maps is
-judged by what it predicts of the patches, beside the second answer without a change. The result is the first
-answer with the change of those maps that helped, and that leaves the photos explained; often, that is none.
+The default method solves twice: from all photos, and from all but held-out patches (at each texel, one photo
+is held out). The game of :mod:`.generator.detail` begins at the second answer and does not see these patches
+either. Each map stays within what the photos leave open. From time to time each set of maps is judged: how
+well does the second answer predict the patches with and without their change? The result is the first answer
+with the change of those maps that helped, if the photos stay explained; often no map helps.
 """
 
 import itertools
@@ -35,11 +35,11 @@ from .method import Method
 from .one_photo import OnePhoto
 from .task import FitTask
 
-BLOCKS = 16  # patches along a side, of each of which one photo is held out
-WITHOUT = 0.5  # of the time left, at most, that solving without the patches may take
+BLOCKS = 16  # patches along a side; in each, one photo is held out
+WITHOUT = 0.5  # largest share of the time left that solving without the patches may take
 SURE = 3.0  # standard errors by which patches must be predicted better for a change to be kept
-# So many times as large may the error of all photos become by a change: one that mends a bad answer without
-# the patches may spoil that of all.
+# Largest factor by which a change may raise the error of all photos: a change that mends a bad answer found
+# without the patches may spoil the answer of all photos.
 WORSE = 1.1
 BEAT = 20  # steps of the game from one judgement to the next
 VIEWS = "camera", "light", "intensity"
@@ -48,7 +48,7 @@ GAME, ENDED = 2, 3  # stages after solving with all photos (0) and without the p
 
 
 def solver_of(task: FitTask[HierarchicalConfig]) -> Method:
-    """The default method; of one photo of a material that repeats itself, that by its looks."""
+    """The default method; for one photo of a material that repeats itself, the fit by look classes."""
     return OnePhoto(task) if task.of_looks else Hierarchical(task)
 
 
@@ -91,7 +91,7 @@ class SolvedGan(Method[GanConfig]):
         return losses
 
     def _share(self, progress: float) -> float:
-        """Of the time that the present solver has, what is over; 0 where steps limit the run."""
+        """The share that is over of the present solver's time; 0 where steps limit the run."""
         if self.config.iterations or not self.config.budget:
             return 0.0
         if self.stage:
@@ -110,7 +110,7 @@ class SolvedGan(Method[GanConfig]):
         elif not solver.done:
             self.stage = ENDED  # an answer that is not settled would gain by any change
         else:
-            assert isinstance(solver, Hierarchical)  # of more photos than one
+            assert isinstance(solver, Hierarchical)  # there are several photos
             spread = deviations(*answer, solver.task, solver.scales.basis)[0]
             self._begin_game(Bounded.of(*answer, spread, DetailConfig.reach, DetailConfig.certain))
 
@@ -125,7 +125,7 @@ class SolvedGan(Method[GanConfig]):
                                    DetailConfig(seed=self.config.seed))
 
     def _judge(self) -> None:
-        """Keep the present change of those maps that predict the patches better with it."""
+        """Keep the present change of those maps with which the patches are predicted better."""
         assert self.game
         solved = self.game.bounded
         with torch.no_grad():
@@ -149,7 +149,7 @@ class SolvedGan(Method[GanConfig]):
             self.gain, self.kept = gain, kept
 
     def _seen(self, kept: dict[str, Tensor]) -> float:
-        """Re-rendering error of all photos by their answer, with a change."""
+        """Re-rendering error of all photos by their answer with the change ``kept``."""
         assert self.answer and self.game
         svbrdf, views = self.answer
         changed = Bounded(svbrdf, views, self.game.bounded.bounds).moved(kept) if kept else svbrdf
@@ -206,7 +206,7 @@ class SolvedGan(Method[GanConfig]):
 
     @property
     def views_deviation(self) -> tuple[Tensor | None, Tensor | None]:
-        """Of the solver."""
+        """The deviations of the first solver's views."""
         return self.solvers[0].views_deviation
 
     def state(self) -> dict[str, Tensor]:
@@ -263,12 +263,12 @@ def spared(capture: Capture, seed: int) -> Tensor:
 
 
 def held_out(capture: Capture, pixels: Tensor) -> Capture:
-    """The photos without these pixels, N x R x R, which are filled with what the others show."""
+    """The photos without these pixels, N x R x R, which are filled from the other photos."""
     measured = ~pixels if capture.measured is None else ~pixels & capture.measured
     shown = torch.where(measured[..., None], capture.photos, torch.nan)
     return replace(capture, photos=filled(list(shown.numpy()), warn=False)[0], measured=measured)
 
 
 def standard_error(values: Tensor) -> float:
-    """Of the mean of values."""
+    """The standard error of the mean of values."""
     return float(values.std() / len(values)**0.5)

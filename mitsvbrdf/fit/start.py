@@ -16,16 +16,16 @@ def robust_start(capture: Capture, guess: Tensor, bsdf: Bsdf, fixed: Mapping[str
                  | None = None) -> SVBRDF:
     """The start of a fit: the guess (R x R x 3, linear), one specular level and one roughness for all texels.
 
-    Their lobe explains best what the guess leaves of the photos, at 64 px at most. For each roughness of a
-    short grid the level is the least-squares one over unclipped pixels of all photos. Fixed maps, R x R x C,
-    are in the result, and the search keeps to them.
+    This lobe explains best what the guess leaves unexplained in the photos, at 64 px at most. For each
+    roughness of a short grid, the level is the least-squares one over unclipped pixels of all photos. Fixed
+    maps, R x R x C, are in the result, and the search keeps to them.
     """
     fixed = fixed or {}
     level, roughness = _lobe(capture, guess, fixed)
     size = capture.resolution
     if bsdf == "principled":
-        # The same two lobes: base colour (1 - metallic) is the guess, base colour metallic what F0 exceeds a
-        # dielectric's.
+        # The same two lobes: base colour times (1 - metallic) is the guess, base colour times metallic is the
+        # excess of F0 over a dielectric's.
         metal = max(level - DIELECTRIC_F0, 0.0)
         base = (guess + metal).clamp(0.01, 1)
         metallic = (metal / base.mean(dim=2, keepdim=True)).clamp(0.05, 0.95)
@@ -36,7 +36,7 @@ def robust_start(capture: Capture, guess: Tensor, bsdf: Bsdf, fixed: Mapping[str
 
 
 def _lobe(capture: Capture, guess: Tensor, fixed: Mapping[str, Tensor]) -> tuple[float, float]:
-    """Specular level and roughness for all texels; of one that is fixed, a number that nobody uses."""
+    """Specular level and roughness for all texels; the number for a fixed map is not used."""
     side = min(64, capture.resolution)
     shrink = torch.nn.AdaptiveAvgPool2d(side)
     radiance = shrink(capture.linear.permute(0, 3, 1, 2)).permute(0, 2, 3, 1)

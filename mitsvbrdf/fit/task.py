@@ -57,8 +57,8 @@ class FitTask(Generic[Config]):
     def repeats(self) -> Repeats | None:
         """Whether one photo shows a material that repeats itself; None where that is not asked.
 
-        Only `hierarchical` asks, and `gan` that begins with it, where all maps of the field are fitted to a
-        whole photo.
+        Only `hierarchical` asks, and `gan` that begins with it, and only where all maps of roughconductor are
+        fitted to one whole photo.
         """
         config, asked = self.config, None
         if isinstance(config, HierarchicalConfig):
@@ -116,7 +116,7 @@ class FitTask(Generic[Config]):
 def fit_task(capture: Capture, renderer: Renderer, config: Config) -> FitTask[Config]:
     """The task of a fit, with views estimated if the capture has none and the method moves them.
 
-    Whatever a mask hides is replaced by the mean of the photos that show it: the one input of networks.
+    Masked pixels are replaced by the mean of the photos that show them, since networks see the photos alone.
     """
     if (measured := capture.measured) is not None:
         shown = torch.where(measured[..., None], capture.photos, torch.nan)

@@ -24,13 +24,13 @@ USABLE = 0.1  # share of the pixels that must be neither dark nor clipped, to sp
 # diffuse albedo, and the share of texels that may have it; ten had 0, two 0.3 and more
 WHITE, WHITE_SHARE = 0.97, 0.1
 FAINT = 0.015  # F0, median; eleven had 0.0156 and more, one 0.013. Water has 0.02, and nothing known less
-# Median F0 beyond a usual non-metal's, and the share of it to be determined to believe that; of eighteen
+# Median F0 above a usual non-metal's, and the share of determined texels needed to believe it; of eighteen
 # fits to seven photos one had 0.31 with a fifth determined, the others 0.1 and less, or were determined.
 STRONG, HARDLY = 0.1, 0.5
 MORE_SHARE = 0.1  # of texels that reflect more than arrives; three of the eighteen had 0.28 to 0.55, others 0
 ASIDE = 0.05  # patch sides from the middle that count as beside it
-LOOKED_AT = 512  # px a side that tell of the photos by themselves
-SAMPLED = 256  # px a side that tell of gains
+LOOKED_AT = 512  # px a side at which the photos themselves are checked
+SAMPLED = 256  # px a side at which gains are checked
 COARSE = 64  # px at which photos are compared; the closest two of the eighteen are 4.6 / 255 apart
 UNSETTLED = "the fit ended before it had settled: give more seconds or iterations"
 MIXED = ("every pixel of the photos follows the model, and their averages at {} px do not, so maps are off "
@@ -44,7 +44,7 @@ OVALS = 0.2  # the same of single highlights; known materials under the views of
 def fit_warnings(result: Fit, capture: Capture) -> Iterator[str]:
     """Warnings about the photos, the calibration and the fit, one sentence each."""
     yield from about_photos(capture)
-    if len(capture) == 1 and "repeats" not in result.record:  # which says more of it
+    if len(capture) == 1 and "repeats" not in result.record:  # else the sentence on repeats says more
         yield f"one photo: {HARDLY_TOLD}"
     yield from _light(result, capture)
     yield from _implausible(result)
@@ -165,7 +165,7 @@ def _burnt_in(result: Fit) -> Iterator[str]:
             yield (f"{share:.0%} of the {name} map lies as the photos' highlights do: it may be theirs, "
                    "not the material's")
     for name, share in local_burn_in(result.svbrdf, result.views).items():
-        # fewer texels have it by chance
+        # with fewer texels, chance alone gives such shares
         if share > OVALS and name not in fixed and result.svbrdf.resolution >= LOCAL_SIDE:
             yield (f"the {name} map has ovals where single photos had their highlights ({share:.0%} of it): "
                    "they are hardly the material's; add photos from other places, with the highlights "

@@ -13,7 +13,7 @@ from ...material.resample import resized
 from ...views import Views
 from ..parameters import ROUGHNESS_RANGE
 
-STEEPEST = 0.95  # length of x and y of a normal that is bent, or that of the solved one
+STEEPEST = 0.95  # largest length of (x, y) of a changed normal, unless that of the solved one is larger
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,7 +27,7 @@ class Bounded:
     @staticmethod
     def of(svbrdf: SVBRDF, views: Views, deviations: Mapping[str, Tensor], reach: float,
            certain: float = 0.0) -> Bounded:
-        """Bounds of so many standard deviations (r x r x C) above one that counts as none."""
+        """Bounds: ``reach`` times the part of each standard deviation (r x r x C) above ``certain``."""
         return Bounded(svbrdf, views, {
             name: reach * (resized(spread, svbrdf.resolution) - certain).clamp_min(0)
             for name, spread in deviations.items()})
@@ -35,7 +35,7 @@ class Bounded:
     def moved(self, change: Mapping[str, Tensor], share: float = 1.0) -> SVBRDF:
         """The maps with a share of their change; where the bound is 0, exactly the solved value.
 
-        Tanh of the change, C x R x R, is the share of the bound.
+        ``change`` is C x R x R; its Tanh is the fraction of the bound by which a map changes.
         """
         maps = dict(self.svbrdf.maps)
         for name, value in change.items():

@@ -1,4 +1,4 @@
-"""A capture at the resolution of a phase, and what the generator is shown and adds to there."""
+"""A capture at the resolution of a phase: what the generator sees, and the start that it adds to."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -38,7 +38,7 @@ class Conditioning:
         self.condition = condition_of(self.capture, self.guess)
 
     def units(self, change: Mapping[str, Tensor], window: Window = WHOLE) -> dict[str, Tensor]:
-        """Maps in (-1, 1), C x R x R: Tanh of start, what was carried, and a crop's change before Tanh."""
+        """Maps in (-1, 1), C x R x R: Tanh of the sum of start, carried change and ``change`` of a crop."""
         found = {}
         for name, value in change.items():
             for known in (self.start, self.carried):
@@ -55,7 +55,7 @@ def condition_of(capture: Capture, guess: Tensor) -> Tensor:
 
 
 def level(change: dict[str, Tensor]) -> dict[str, Tensor]:
-    """A change without a common tilt, which would hide the flash offset: the patch lies flat in z = 0."""
+    """The change without its mean tilt, which would hide the flash offset: the patch lies flat in z = 0."""
     if "normal" not in change:
         return change
     return change | {"normal": change["normal"] - change["normal"].mean(dim=(1, 2), keepdim=True)}

@@ -1,12 +1,12 @@
 """Plausible detail: one random draw of what no photo shows, for pictures. The solved maps stay.
 
-Where no photo shows a highlight, the maps hold expected values, or what the solver was left with. A rendering
-under a new light shows it and does not look like a photo. A small generator starts at the solved maps and
-produces a change, bounded in each texel by the standard deviation of the fit. The renderer of the fit renders
-it under novel lights (:mod:`.novel_lights`). Two criteria compare it with photos of other pieces of the
-material under the same light (:mod:`.highlight_discriminator`): a relativistic discriminator, which also sees
-the half vectors and the diffuse part, and the distance of projected patches. The photos seen and the solved
-diffuse map hold it.
+Where no photo shows a highlight, the maps hold expected values, or the solver's last ones. A rendering under
+a new light shows this and does not look like a photo. A small generator starts at the solved maps and changes
+each texel within a bound from the standard deviation of the fit. The renderer of the fit renders the changed
+maps under novel lights (:mod:`.novel_lights`). Two criteria compare renderings with photos of other pieces of
+the material under the same light (:mod:`.highlight_discriminator`): a relativistic discriminator, which
+also sees the half vectors and the diffuse part, and the distance of projected patches. Two further losses
+hold the maps near the photos seen and near the solved diffuse map.
 """
 
 import time
@@ -46,7 +46,7 @@ SHARES = (1.0, 0.85, 0.7, 0.55, 0.4, 0.25, 0.1, 0.0)  # of the generator's chang
 @entry(gradients=True)
 def with_detail(result: Fit, capture: Capture, renderer: Renderer, config: DetailConfig | None = None,
                 report: Report = lambda text, share: None) -> Fit:
-    """A fit, to these photos, with plausible detail beside its maps, which stay as they are.
+    """A fit with plausible detail beside its maps, which stay the same; ``capture`` holds its photos.
 
     Its ``detail`` and ``detail_record`` are filled in. Both stay None after Ctrl-C and where :func:`why_not`
     gives a reason. ConfigError: settings out of range.
@@ -114,7 +114,7 @@ class DetailTraining:
         self.matte_photos = self._shown(self.matte, self.views)
 
     def weakened(self, worst: float) -> tuple[float, SVBRDF, tuple[Tensor, float, list[float]]]:
-        """The largest share of the change within this re-rendering RMSE, its maps, and these re-rendered."""
+        """The largest share of the change with RMSE up to ``worst``; the maps with it; their re-rendering."""
         for share in SHARES:
             detail = self.material(share).map(Tensor.contiguous)
             met = rerender(self.renderer, detail, self.views, self.capture)
@@ -146,7 +146,7 @@ class DetailTraining:
         fake = torch.stack([light.under_it(image, self.side) for light, image in zip(
             lights, color.to_display(new, self.capture.transfer))])
         real = self._in_photos(lights, self.capture.photos)
-        if (measured := self.capture.measured) is not None:  # no error is where photos are masked
+        if (measured := self.capture.measured) is not None:  # masked pixels have no error
             known = torch.where(measured[seen][..., None], known, self.capture.linear[seen])
             fake = torch.where(self._in_photos(lights, measured)[..., None], fake, real)
         half = self._in_photos(lights, self.half)
@@ -205,5 +205,5 @@ def joined(first: Views, second: Views) -> Views:
 
 
 def _input(picture: Tensor, matte: Tensor, angles: Tensor) -> Tensor:
-    """Input of the discriminator, N x 8 x H x W: display values, those of the diffuse part, half vectors."""
+    """Input of the discriminator, N x 8 x H x W: picture and diffuse part in display values, half vectors."""
     return torch.cat((2 * picture - 1, 2 * matte - 1, angles), dim=-1).permute(0, 3, 1, 2)

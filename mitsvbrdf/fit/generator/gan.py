@@ -1,10 +1,10 @@
 """``gan``, the paper's method: renderings of the generated maps have to pass for the photos.
 
 The paper's presets and ours are the same code; each ingredient is a setting of
-:class:`mitsvbrdf.fit.GanConfig`. What the paper leaves open, and what is done here: the encoder moves with
-the diffuse/specular decoder, once an iteration; blends are made in linear light, and the same blend of the
-same views is rendered; the maps reported are those generated from the first photo; of the first stage only
-the generator's weights are kept.
+:class:`mitsvbrdf.fit.GanConfig`. The paper leaves some details open. Here the encoder is trained with the
+diffuse/specular decoder, once an iteration. Photos are blended in linear light, and renderings of the same
+views are blended in the same way. The reported maps are those generated from the first photo. The second
+stage takes over only the generator's weights.
 """
 
 import itertools
@@ -40,7 +40,7 @@ class Gan(Method[GanConfig]):
         self.start = (None if config.begins == "untrained" else
                       robust_start(task.capture, task.guess, config.bsdf, self.fixed))
         self.random = torch.Generator().manual_seed(config.seed)
-        # features and maps of what later substeps do not move
+        # features and maps that later substeps do not change
         self.resting: tuple[Tensor, dict[str, Tensor]] | None = None
         self.offset = torch.zeros(2, dtype=torch.float64, requires_grad=True)  # of the flash, in patch sides
         self.phases = config.phases(self.capture.resolution)
@@ -59,7 +59,7 @@ class Gan(Method[GanConfig]):
                             self.start, carried)
 
     def _begin(self, phase: int, carried: dict[str, Tensor]) -> None:
-        """A phase: a new discriminator and new optimisers; the generator's weights stay."""
+        """Begin a phase with a new discriminator and new optimisers; the generator's weights stay."""
         config, g = self.config, self.generator
         self.phase, self.scale = phase, self._scale(self.phases[phase], carried)
         self.source = PictureSource(self.scale.capture, config.crop)
@@ -90,7 +90,7 @@ class Gan(Method[GanConfig]):
         return logged | {"phase": float(self.phase)}
 
     def _enter_phase(self, progress: float) -> None:
-        """Begin the phase that is due, none that is over: a run may be resumed with a higher limit."""
+        """Begin the phase that is due, never an earlier one: a run may be resumed with a higher limit."""
         begins = list(itertools.accumulate((phase.share for phase in self.phases[:-1]), initial=0.0))
         present = max(number for number, begin in enumerate(begins) if progress >= begin)
         if present > self.phase:
@@ -128,7 +128,7 @@ class Gan(Method[GanConfig]):
             logged["gradient"] = logged.get("gradient", 0.0) + gradient
 
     def _material(self, pictures: Pictures, first: bool = True) -> SVBRDF:
-        """The maps proposed; of a later substep only normal and roughness carry gradients."""
+        """The generated maps; in later substeps only normal and roughness carry gradients."""
         change = self._out(pictures, first)
         fixed = {name: value[pictures.window] for name, value in self.scale.fixed.items()}
         return from_units(self.config.bsdf, self.scale.units(change, pictures.window), fixed)
@@ -149,14 +149,14 @@ class Gan(Method[GanConfig]):
     def _rendered(self, svbrdf: SVBRDF, pictures: Pictures) -> Tensor:
         views = seen_through(pictures.window, self._views(), self.scale.capture.resolution)
         rendered = self.renderer.render(svbrdf, views.pick(pictures.index))
-        return pictures.of(rendered.float())  # of analytic64 too: the networks are float32
+        return pictures.of(rendered.float())  # the networks are float32, analytic64 is not
 
     def _told(self, pictures: Pictures) -> Tensor | None:
-        """What the discriminator is told beside a picture."""
+        """The photo that the discriminator sees beside a picture; None where it sees none."""
         return pictures.shown * 2 - 1 if self.config.paired else None
 
     def _verdict(self, shown: Tensor, fake: Tensor, told: Tensor | None) -> dict[str, Tensor]:
-        """The generator's own losses of what the discriminator makes of its renderings."""
+        """The generator's losses, from the discriminator's output for the renderings."""
         seen = self.discriminator.activations(fake, told)
         with torch.no_grad():
             real = (self.discriminator.activations(shown, told)
@@ -190,7 +190,7 @@ class Gan(Method[GanConfig]):
                 "discriminator": self.discriminator, **self.optimizers}
 
     def state(self) -> dict[str, Tensor]:
-        """Also the phase, and what it began with."""
+        """The state of the parts, the phase, and the change carried into the phase."""
         begun = {f"carried.{name}": value for name, value in self.scale.carried.items()}
         return super().state() | begun | {"phase": torch.tensor(self.phase)}
 

@@ -4,12 +4,12 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-PATCH, STRIDE = 7, 3  # pixels: side of the patches whose statistics are compared, and from one to the next
+PATCH, STRIDE = 7, 3  # pixels: side of the compared patches, and distance from one patch to the next
 DIRECTIONS = 64
 
 
 class HighlightDiscriminator(nn.Module):
-    """A patch discriminator; its first layer has no norm, so it sees levels, the next two instance norm."""
+    """A patch discriminator. Layer 1 has no norm, so it sees levels; layers 2 and 3 have instance norm."""
 
     def __init__(self, inputs: int, width: int = 32) -> None:
         super().__init__()
@@ -26,7 +26,7 @@ class HighlightDiscriminator(nn.Module):
 
 def patch_distance(rendered: Tensor, photos: Tensor, angle: Tensor, random: torch.Generator,
                    bins: int = 3) -> Tensor:
-    """Sliced Wasserstein-1 distance of patches of paired pictures, among patches of like half-vector angle.
+    """Sliced Wasserstein-1 distance of patches of paired pictures, among those of similar half-vector angle.
 
     Args:
         rendered, photos: N x H x W x 3, H and W at least :data:`PATCH`.

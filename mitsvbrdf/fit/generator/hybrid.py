@@ -30,7 +30,7 @@ PATCH = 128  # side of the crops the discriminator compares
 
 
 class Hybrid(Method[HybridConfig]):
-    """Steps of the hybrid method; its renderer carries gradients, to the lights too for a flash offset."""
+    """Steps of the hybrid method; the renderer carries gradients, for a flash offset also to the lights."""
 
     def __init__(self, task: FitTask[HybridConfig]) -> None:
         super().__init__(task)

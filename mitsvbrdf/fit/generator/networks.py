@@ -17,7 +17,7 @@ from ..parameters import STREAMS, Streams
 @contextlib.contextmanager
 def seeded(seed: int) -> Iterator[None]:
     """Weights drawn in this block depend on the seed alone; torch's random state stays as it was."""
-    with PROCESS, torch.random.fork_rng(devices=[]):  # which all threads share
+    with PROCESS, torch.random.fork_rng(devices=[]):  # all threads share torch's random state
         torch.manual_seed(seed)
         yield
 
@@ -33,10 +33,10 @@ class TwoStreamGenerator(nn.Module):
     """The paper's generator (III.D): one encoder; two decoders keep normals and diffuse features apart.
 
     Encoder: 5 convolutions (three of them halve the size). Decoder ``normal_roughness``: 1 convolution and 3
-    deconvolutions; decoder ``diffuse_specular``: 3 deconvolutions. All but the last are followed by instance
-    norm and leaky ReLU; the last by Tanh, which is taken in :mod:`.gan`, where a start may be added before
-    it. A decoder without maps is not built. With ``change`` the last layers begin at zero, because what they
-    put out is a change to a start (ours).
+    deconvolutions; decoder ``diffuse_specular``: 3 deconvolutions. Instance norm and leaky ReLU follow every
+    layer but a decoder's last. Tanh follows the last layer; :mod:`.conditioning` applies it, and may add a
+    start before it. A decoder without maps is not built. With ``change`` the last layers begin at zero,
+    because their output is a change to a start (ours).
     """
 
     def __init__(self, streams: Streams = STREAMS["roughconductor"], width: int = 64,
@@ -69,7 +69,7 @@ class TwoStreamGenerator(nn.Module):
                 nn.ConvTranspose2d(2 * w, channels, 4, stride=2, padding=1)]
 
     def encode(self, photo: Tensor) -> Tensor:
-        """The features both decoders start from, of a photo 1 x 3 x R x R in display values."""
+        """The features from which both decoders start, of a photo 1 x 3 x R x R in display values."""
         return self.encoder(pad_to_multiple(photo * 2 - 1, 8))
 
     def decode(self, stream: int, code: Tensor, size: int) -> dict[str, Tensor]:
@@ -84,8 +84,8 @@ class TwoStreamGenerator(nn.Module):
 class PatchDiscriminator(nn.Module):
     """The paper's discriminator (III.D): 5 convolutions, four with instance norm and leaky ReLU.
 
-    Its Sigmoid is part of the losses (:func:`mitsvbrdf.fit.losses.discriminator`). It sees a picture, and
-    what else it is told.
+    Its Sigmoid is part of the losses (:func:`mitsvbrdf.fit.losses.discriminator`). It sees a picture, and the
+    channels ``told`` if there are any.
     """
 
     def __init__(self, width: int = 64, inputs: int = 3) -> None:
@@ -97,9 +97,9 @@ class PatchDiscriminator(nn.Module):
             block(nn.Conv2d(4 * w, 8 * w, 3, padding=1)), nn.Conv2d(8 * w, 1, 3, padding=1)])
 
     def activations(self, image: Tensor, told: Tensor | None = None) -> list[Tensor]:
-        """What each layer puts out of display values N x 3 x R x R, and channels N x C x R x R as they are.
+        """The output of each layer for display values N x 3 x R x R and channels ``told`` N x C x R x R.
 
-        The last are the logits of the patches.
+        ``told`` is taken as it is. The last output holds the logits of the patches.
         """
         x = pad_to_multiple(image * 2 - 1 if told is None else torch.cat((image * 2 - 1, told), dim=1), 16)
         found = []
@@ -141,8 +141,8 @@ class AllPhotosGenerator(nn.Module):
             zero(list(decoder.children())[-1])
 
     def _decoder(self, widths: list[int], channels: int) -> nn.ModuleList:
-        # The finest level only mixes channels (1 x 1): it has the most pixels, and its neighbours are in the
-        # skip already.
+        # The finest level only mixes channels (1 x 1): it has the most pixels, and its skip has already seen
+        # the neighbouring pixels.
         layers = [block(nn.Conv2d(below + at, at, *((1,) if at == widths[0] else (3, 1, 1))))
                   for at, below in zip(widths[-2::-1], widths[:0:-1])]
         return nn.ModuleList([*layers, nn.Conv2d(widths[0], channels, 1)])
@@ -170,14 +170,14 @@ def zero(layer: nn.Module) -> None:
 
 
 def pad_to_multiple(image: Tensor, factor: int) -> Tensor:
-    """The image grown to a multiple of ``factor``, at least twice it (instance norm), by its border."""
+    """The image padded with its border to a multiple of ``factor``, at least twice it (instance norm)."""
     bottom, right = (max(-(-side // factor), 2) * factor - side for side in image.shape[-2:])
     return F.pad(image, (0, right, 0, bottom), mode="replicate")
 
 
 @contextlib.contextmanager
 def frozen(module: nn.Module) -> Iterator[None]:
-    """Gradients pass through the module inside, and none of its own weights is computed."""
+    """In this block gradients pass through the module, but none is computed for its weights."""
     module.requires_grad_(False)
     try:
         yield

@@ -14,15 +14,15 @@ from torch import Tensor
 from ...views import Views
 
 BEYOND = 0.1  # how far a moved camera may leave the rectangle of the cameras, as a share of its sides
-JITTER = 0.12  # standard deviation of the middle of a crop around the highlight's, patch sides
+JITTER = 0.12  # standard deviation of the middle of a crop from the highlight, patch sides
 
 
 @dataclass(frozen=True)
 class NovelLight:
-    """A photo's camera and light carried over the patch, and where to compare."""
+    """Camera and light of a photo, both shifted over the patch, and the crop to compare."""
 
     photo: int  # its row
-    down: int  # texels by which camera and light are carried down
+    down: int  # texels by which camera and light are shifted down
     right: int  # the same to the right
     row: int  # first row of the crop under the novel light; in the photo it is ``row - down``
     column: int  # first column; in the photo it is ``column - right``
@@ -38,10 +38,10 @@ class NovelLight:
 
 
 def draw(views: Views, albedo: Tensor, side: int, tries: int, random: torch.Generator) -> NovelLight:
-    """A light above the cameras, or half a side around a lone one, and a crop near its highlight.
+    """A random light among the cameras (up to half a side from a single one), and a crop near its highlight.
 
-    Crops have so many texels a side. Of lights tried at random, the one is taken whose two crops look most
-    alike by the albedo, R x R x 3 display values.
+    ``side``: texels a side of each crop. Of ``tries`` random lights, the chosen one has the two crops that
+    look most alike in the albedo, R x R x 3 display values.
     """
     resolution, sides = albedo.shape[0], views.in_patch_sides()
     camera, middle = sides.camera[:, :2], (sides.camera + sides.light)[:, :2] / 2

@@ -1,4 +1,4 @@
-"""What the discriminator compares: photos or blends of two (III.F), and the same of renderings."""
+"""What the discriminator compares: photos or blends of two (III.F), and renderings blended the same way."""
 
 from dataclasses import dataclass, replace
 
@@ -20,22 +20,22 @@ class Pictures:
     shown: Tensor  # the pictures, P x 3 x R x R in display values
     index: Tensor  # numbers of the K photos in the capture
     weights: Tensor  # P x K, how much of each photo is in each picture, in linear light
-    # least and greatest radiance of renderings: 0 and 1, the photo's where it is masked
+    # least and greatest radiance of renderings: 0 and 1; both are the photo's radiance where it is masked
     limits: tuple[Tensor, Tensor]  # K x R x R x 3 each
     window: Window  # the crop of the photos that is shown
     transfer: color.Transfer  # of the photos
 
     def of(self, rendered: Tensor) -> Tensor:
-        """The same pictures of renderings of the views ``index``, linear K x R x R x 3, unclamped.
+        """The same pictures, made of renderings of the views ``index``, linear K x R x R x 3, unclamped.
 
-        Each view is clipped and masked as its photo was before it is blended, so that photos and renderings
-        show the same physics (Bora 2018, AmbientGAN).
+        Each rendering is clipped and masked like its photo, then blended, so that photos and renderings show
+        the same physics (Bora 2018, AmbientGAN).
         """
         return _displayed(rendered.clamp(*self.limits), self.weights, self.transfer)
 
 
 class PictureSource:
-    """Draws pictures from a capture, of random crops of so many texels a side; 0 takes the whole."""
+    """Draws pictures from a capture: random crops with ``crop`` texels a side; 0 takes whole photos."""
 
     def __init__(self, capture: Capture, crop: int = 0) -> None:
         self.capture, self.crop = capture, crop
@@ -47,7 +47,7 @@ class PictureSource:
         self.limits = least, highest
 
     def draw(self, count: int, random: torch.Generator) -> Pictures:
-        """With equal chance one photo, or two blended with a random weight, ``count`` times (III.F)."""
+        """``count`` pictures: with equal chance one photo, or two blended with a random weight (III.F)."""
         photos = len(self.capture)
         order = torch.randperm(photos, generator=random).repeat(2 * count)
         coins = torch.rand(count, 2, generator=random).tolist()
@@ -82,7 +82,7 @@ def _displayed(linear: Tensor, weights: Tensor, transfer: color.Transfer) -> Ten
 
 
 def seen_through(window: Window, views: Views, resolution: int) -> Views:
-    """Views of a crop of a patch of so many texels a side: around its middle, with its side as the size."""
+    """Views of a crop as a patch of its own (middle, size), cut from one of ``resolution`` texels a side."""
     if window == WHOLE:
         return views
     (top, bottom), (left, right) = ((each.start, each.stop) for each in window)

@@ -6,14 +6,14 @@ traced.
 
 from typing import Any
 
-PIVOT = 4  # roundings of its diagonal: what is left of a pivot below that is nothing else
-TINY = 1e-12  # added to the diagonal, where nothing is known of an unknown
+PIVOT = 4  # least pivot, in roundings of its diagonal entry: a smaller one is rounding alone
+TINY = 1e-12  # added to the diagonal, for unknowns of which nothing is known
 
 Matrix = dict[tuple[int, int], Any]
 
 
 def factor(matrix: Matrix, size: int) -> Matrix:
-    """The lower Cholesky factor L of a positive definite matrix, its diagonal inverted."""
+    """The lower Cholesky factor L of a positive definite matrix; the diagonal is stored inverted."""
     import drjit as dr
 
     lower: Matrix = {}

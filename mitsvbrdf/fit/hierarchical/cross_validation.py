@@ -1,11 +1,11 @@
-"""How far each photo of a phone is to be believed at full size: as far as it helps to predict the others.
+"""How much noise to assume in photos of a phone at full size: the noise that predicts held-out photos well.
 
-What a rendering misses in real photos is no noise: alignment, lobes that are no GGX, light that is no point.
-It repeats in neighbouring pixels and photos, so the errors of photos seen do not tell how much of a texel's
-detail is the material's. Photos that a fit did not see tell (cross-validation; Stone 1974). Each is held out
-in turn and predicted with the views as they are, at every k-th texel of full size. Of all noises that predict
-equally well the fit takes the least: it explains the photos seen best. Equally well is within one standard
-error (Breiman et al. 1984) of differences between the same photos.
+Renderings of real photos have errors that are no noise: alignment, lobes that are no GGX, light that is no
+point. They repeat in neighbouring pixels and photos, so the errors of photos seen do not tell how much of a
+texel's detail is the material's. Photos that a fit did not see tell this (cross-validation; Stone 1974). Each
+is held out in turn and predicted with the present views, at every k-th texel of full size. Of all noises that
+predict equally well, the fit takes the least, which explains the photos seen best. Equally well means within
+one standard error of the differences between the same photos (Breiman et al. 1984).
 """
 
 import math
@@ -19,19 +19,19 @@ from .solver import Observations, TexelSolver
 from .starts import stepped, variances
 from .texel_prior import TexelEstimate, TexelPrior
 
-# Of display values. With a photo less, more is asked for than all of them need: of six real captures that
-# asked for 0.12 or 0.18, four predicted photos that no fit saw as well or better with 0.08, one 2 % worse and
-# one 12 %, and all explained those seen better.
+# Of display values. A fit without one photo asks for more noise than all photos need: six real captures asked
+# for 0.12 or 0.18. With 0.08, four of them predicted photos that no fit saw as well or better, one 2 % worse
+# and one 12 %, and all explained the photos seen better.
 NOISES = (0.03, 0.05, 0.08)
-# Photos; of fewer none can be spared, and of many no more are held out in turn. Four of seven were too few:
-# by more chance they chose less noise, and two captures of eight were predicted worse (1.13 and 1.03 times).
+# Fewest photos of which one can be held out, and most that are held out in turn. Four of seven were too few:
+# by chance less noise was chosen, and two captures of eight were predicted worse (1.13 and 1.03 times).
 FEWEST, MOST = 4, 12
 AGREED = 4  # rounds in which texels forget a photo that is held out
-STEPS, ROUNDS = 6, 3  # of Levenberg-Marquardt, and of these with the freedom that texels took
+STEPS, ROUNDS = 6, 3  # Levenberg-Marquardt steps of a round; rounds, which end by setting texels' freedom
 
 
 def in_turn(count: int) -> range:
-    """Which of so many photos are held out in turn: all or evenly some, none where they are too few."""
+    """Which of ``count`` photos are held out in turn: all, or evenly spaced ones; none of too few."""
     return range(0, count if count >= FEWEST else 0, math.ceil(count / MOST))
 
 
@@ -42,13 +42,13 @@ def steps_of_turns(count: int) -> int:
 
 def prediction_errors(photos: Observations, solver: TexelSolver, prior: TexelPrior,
                       starts: Mapping[int, TexelEstimate], noises: Sequence[float]) -> Tensor:
-    """Mean squared errors of photos' display values, each predicted from all others: a row for each noise.
+    """Mean squared errors of display values, each photo predicted from all others: a row for each noise.
 
     Args:
-        photos: N photos; their own noise does not matter, the ratio of ``robust`` to it stays.
+        photos: N photos; ``noises`` replace their noise, and the ratio of ``robust`` to it stays.
         solver: of their texels.
         prior: of the fit.
-        starts: photo -> an answer found without it, with texels that may leave it (:meth:`TexelPrior.free`).
+        starts: photo -> answer found without this photo; texels may leave it (:meth:`TexelPrior.free`).
         noises: to try.
     """
     errors = torch.zeros(len(noises), len(starts))
@@ -65,7 +65,7 @@ def prediction_errors(photos: Observations, solver: TexelSolver, prior: TexelPri
 
 
 def least_as_good(errors: Tensor) -> int:
-    """The first row whose mean is within one standard error of the lowest, of differences by column.
+    """The first row whose mean is above the lowest by at most one standard error of differences by column.
 
     Args:
         errors: rows to choose from x columns to compare them in, at least 2.

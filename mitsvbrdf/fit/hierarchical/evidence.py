@@ -1,9 +1,9 @@
-"""What the photos of each texel say of the numbers that it shares, whatever its roughness.
+"""What the photos of each texel say about the numbers that it shares, whatever its roughness.
 
-In the tails of GGX only F0 alpha^2 shows. A texel whose highlight no photo met has a valley of answers that
-explain its photos alike, and a search that starts at the wrong end of it stays there. So each texel is
-explained at each of some roughnesses with all other numbers free (profile likelihood; Murphy and van der
-Vaart 2000). Around each of these answers its photos are a Gaussian of the shared numbers (Schur complement).
+The tails of GGX show only F0 alpha^2. If no photo shows a texel's highlight, a valley of answers explains its
+photos equally well, and a search that starts at the wrong end of the valley stays there. So each texel is
+solved at each of several roughnesses, with all other numbers free (profile likelihood; Murphy and van der
+Vaart 2000). Around each answer, its photos give a Gaussian of the shared numbers (Schur complement).
 """
 
 from typing import NamedTuple
@@ -16,16 +16,16 @@ from .specular_test import least_errors
 from .texel_prior import LEAST_PRECISION, TexelEstimate, TexelPrior
 
 WIDTHS = tuple(0.8 / 1.32**k for k in range(13, -1, -1))  # roughnesses; alpha grows by 1.74 a step
-STEPS, OTHERS = 6, 4  # of the solver from each start, and other starts of a texel, of half as many steps
+STEPS, OTHERS = 6, 4  # solver steps from each start; other starts of a texel, with half as many steps each
 SEARCH_STEPS = 2 * len(WIDTHS) * (2 * STEPS + OTHERS * (STEPS // 2))
-ROUNDING = 1e-5  # of float32 sums over photos: so much of a diagonal is added to keep matrices definite
+ROUNDING = 1e-5  # of float32 sums over photos: this share of a diagonal is added to keep matrices definite
 
 
 class Evidence(NamedTuple):
-    """Costs of the photos of M texels around G answers of each, by their S shared numbers; float64.
+    """Costs of the photos of M texels around G answers each, as functions of S shared numbers; float64.
 
-    A texel costs cost + 2 slope d + d curve d at shared numbers x + d: -2 log of the likelihood, its own
-    numbers integrated out (Laplace). A narrow lobe that meets the noise of one pixel is not likelier for it.
+    At shared numbers x + d, a texel costs cost + 2 slope d + d curve d: -2 log of its likelihood, with own
+    numbers integrated out (Laplace). A narrow lobe that fits the noise of one pixel is not likelier for it.
 
     Args:
         x: shared numbers of the answers, G x M x S.
@@ -44,7 +44,7 @@ def searched(solver: TexelSolver, photos: Observations, prior: TexelPrior,
              x: Tensor) -> tuple[list[Tensor], Tensor]:
     """The answers of texels at each of :data:`WIDTHS`, and the best ones, U x R x R each.
 
-    Every answer is a start of the next.
+    Each answer is a start of the search at the next roughness.
 
     Args:
         solver: of the texels.
@@ -66,13 +66,13 @@ def searched(solver: TexelSolver, photos: Observations, prior: TexelPrior,
 
 def evidence(solver: TexelSolver, photos: Observations, answer: TexelEstimate, shared: Tensor,
              answers: list[Tensor]) -> Evidence:
-    """What the photos say of S of the unknowns around some answers.
+    """What the photos say about S shared unknowns, around some answers.
 
     Args:
         solver: of the texels.
         photos: their noise matters.
-        answer: whose prior the texel's own numbers have.
-        shared: which unknowns these are, S.
+        answer: its prior holds for the own numbers of each texel.
+        shared: positions of the S shared unknowns.
         answers: U x R x R each.
     """
     own = torch.tensor([u for u in range(len(answers[0])) if u not in shared.tolist()], dtype=torch.long)

@@ -21,7 +21,7 @@ from .texel_prior import TexelEstimate, TexelPrior
 
 
 class ExactPhotos:
-    """What is special about exact photos, and about those that are not known yet.
+    """What is special about exact photos, and about photos whose kind is not known yet.
 
     Args:
         task: what to fit.
@@ -35,12 +35,12 @@ class ExactPhotos:
 
     @property
     def present(self) -> Search:
-        """The search as it is now: without a lobe, once it is omitted."""
+        """The present search: without a lobe, once the lobe is omitted."""
         return self.lobeless if self.seen.stages.matte else self.search
 
     @property
     def prior(self) -> TexelPrior:
-        """Of the texels as they are now."""
+        """The present prior of the texels."""
         return self.lobes.prior if self.lobes else self.present.prior
 
     @cached_property
@@ -59,7 +59,7 @@ class ExactPhotos:
         return found
 
     def multi_start(self, scale: Scale, answer: TexelEstimate, variant: str) -> tuple[TexelEstimate, Tensor]:
-        """Learn the noise of the photos and the lobes that texels share; the answer and its mean cost."""
+        """Learn the noise of the photos and the shared lobes; gives the answer and its mean cost."""
         self.lobes, answer, cost = SharedLobes.searched(self.prior, scale, answer, self.seen,
                                                         make_renderer("mitsuba", variant))
         return answer, cost
@@ -73,7 +73,7 @@ class ExactPhotos:
         return fine, self.lobes.enlarged(answer, fine)
 
     def next_prior(self, scale: Scale, photos: Observations, answer: TexelEstimate) -> TexelEstimate:
-        """The answer with the prior of the next round, from what texels are seen to be."""
+        """The answer with the prior of the next round, which is learned from the present texels."""
         if not self.lobes:
             variance = variances(scale.solver, photos, answer)
             return self.prior.share(answer, variance, scale, len(photos.views), tied=False)
@@ -84,9 +84,9 @@ class ExactPhotos:
         return answer
 
     def _measure_noise(self, x: Tensor) -> None:
-        """Learn the noise anew: photos that an early answer explains half seem noisier than they are.
+        """Learn the noise again: photos that an early answer explains only in part seem too noisy.
 
-        With that noise a likelier lobe would be worth more than a highlight that is met.
+        With too much noise, a likelier lobe would outweigh a highlight that is reproduced.
         """
         some = self.search.scales.of(Stage.MULTI_START)
         svbrdf = some.solver.svbrdf(self.search.scales.sampled(x))

@@ -20,13 +20,13 @@ from ...views import Falloff
 from . import cholesky
 from .unknowns import Unknowns, columns_of, pair_of, pairs_of
 
-EASED, STIFFENED = 0.3, 4.0  # what an accepted and a refused step make of the damping
+EASED, STIFFENED = 0.3, 4.0  # factors of the damping after an accepted and after a refused step
 DAMPING_RANGE = 1e-6, 1e6
-ROUNDING = 1e-5  # a cost that grows by less than this share has not grown: errors are differences of float32
-# a refused step no longer than this is one of a texel that has arrived: it leaves the damping alone
+ROUNDING = 1e-5  # relative growth of the cost that does not count: errors are differences of float32
+# a refused step of at most this length means that the texel has converged: the damping stays
 STILL = 1e-4
-TILE = 2**18  # texels that are solved at once, so that what is made of them stays small
-FREE = 1.0  # damping up to which a step that short ends the search: it was not held back
+TILE = 2**18  # texels that are solved at once, so that their arrays stay small
+FREE = 1.0  # largest damping at which a step up to STILL ends the search: damping has not shortened it
 
 
 def tile_rows(side: int) -> int:
@@ -35,7 +35,7 @@ def tile_rows(side: int) -> int:
 
 
 def tiles(side: int, count: int | None = None) -> list[slice]:
-    """Tiles of so many rows, all if left out; the last one begins early enough to be as large as others."""
+    """Tiles of ``count`` rows (default: all); the last begins early enough to be as large as the others."""
     count, rows = count or side, tile_rows(side)
     return [slice(first, first + rows) for first in (min(k, count - rows) for k in range(0, count, rows))]
 
@@ -66,14 +66,14 @@ class Kernel:
         self.columns = columns_of(unknowns)
         self.pairs = pairs_of(self.columns)
         self.shader = HeldPlugin(mi, bsdf, needs)
-        # in no circle: Python's garbage collector would free Dr.Jit's arrays in any thread
+        # no reference cycle: Python's garbage collector would free Dr.Jit's arrays in any thread
         me = weakref.proxy(self)
         self.steps = frozen(lambda *args: Kernel._steps(me, *args), self.shader)
         self.posterior = frozen(lambda *args: Kernel._posterior(me, *args), self.shader)
         self.equations = frozen(lambda *args: Kernel._equations(me, *args), self.shader)
 
     def zeros(self, count: int, kind: Any = None) -> list:
-        """So many zeros for each texel, each an object of its own, since loops write into their state."""
+        """``count`` zeros for each texel, each an object of its own, since loops write into their state."""
         import drjit as dr
 
         return [dr.zeros(kind or self.mi.Float, self.texels) for _ in range(count)]
@@ -86,7 +86,7 @@ class Kernel:
                     slope: list, curve: list) -> tuple:
             trial_prior = sum(p * dr.square(t - m) for p, t, m in zip(precision, trial, mean))
             trial_data, trial_slope, trial_curve = self._linearised(problem, trial)
-            # False for what is no number
+            # False where the cost is NaN
             better = trial_data + trial_prior <= (data + prior) * (1 + ROUNDING)
             better &= dr.isfinite(trial_data + trial_prior)
             still = (k > 0) & (damping <= FREE) & (farthest(trial, x) <= STILL)
@@ -110,7 +110,7 @@ class Kernel:
     def _posterior(self, problem: dict, x: list, precision: list) -> list:
         import drjit as dr
 
-        # What a highlight says is 1e6 times what a prior says, and more: in float32 its rounding would drown
+        # A highlight has 1e6 times the precision of a prior, and more: in float32, its rounding would drown
         # the prior.
         *_, curve = self._linearised(problem, x, dr.float64_array_t(self.mi.Float))
         lower = cholesky.factor(self._matrix(curve, precision), self.size)
@@ -127,7 +127,7 @@ class Kernel:
         return matrix | {(u, u): matrix[u, u] + p for u, p in enumerate(precision)}
 
     def _linearised(self, problem: dict, x: list, kind: Any = None) -> tuple:
-        """At x, the data cost, J^T W e, and J^T W J by :attr:`pairs`, summed in this kind of float."""
+        """At x, the data cost, J^T W e, and J^T W J by :attr:`pairs`, summed in floats of ``kind``."""
         import drjit as dr
 
         kind = kind or self.mi.Float
@@ -137,14 +137,14 @@ class Kernel:
         _, cost, slope, curve = dr.while_loop(state, lambda view, *_: view < problem["count"],
                                               texels.add_view, label="views")
         self.shader.release()
-        # The slopes were by what the plugin takes; these factors make them slopes by the unknowns.
+        # The derivatives were by the plugin's inputs; these factors make them derivatives by the unknowns.
         by = texels.stretch
         curve = [v * by[i] * by[j] for (i, j), v in zip(self.pairs, curve)]
         return cost, [s * b for s, b in zip(slope, by)], curve
 
 
 class Texels:
-    """The texels at one x, and what each photo says of them there; sums are made in this kind of float."""
+    """The texels at one x, and what each photo says of them there; sums are in floats of ``kind``."""
 
     def __init__(self, kernel: Kernel, problem: dict, x: list, kind: Any) -> None:
         import drjit as dr
@@ -158,8 +158,8 @@ class Texels:
         if "normal" in kernel.unknowns.shapes:
             normal = Vector(*self.maps["normal"], 1)
             self.axes = shading_axes(normal)
-            # With slope k, the normal turns towards the tangents by these angles, and directions the other
-            # way.
+            # As slope k grows, the normal turns towards the tangents by these angles, and directions turn the
+            # other way.
             self.turns = [tuple(mi.Float(axis[k] / dr.norm(normal)) for axis in self.axes[:2])
                           for k in range(2)]
         elif kernel.needs.normal_map:
@@ -183,7 +183,7 @@ class Texels:
         return view + 1, cost + self.kind(part), slope, list(by_pair.values())
 
     def _shown(self, view: Any) -> tuple:
-        """Display values rendered of a view, where light and camera are above, and a seed for each column."""
+        """Rendered display values of a view, whether light and camera are above, a seed for each column."""
         import drjit as dr
 
         kernel = self.kernel
@@ -220,7 +220,7 @@ class Texels:
 
 
 def next_damping(damping: Any, better: Any, trial: list, x: list) -> Any:
-    """The damping after a step to ``trial`` that was better than ``x``, or was not."""
+    """The damping after a step from ``x`` to ``trial``, accepted where ``better``, else refused."""
     import drjit as dr
 
     arrived = farthest(trial, x) <= STILL
@@ -228,14 +228,14 @@ def next_damping(damping: Any, better: Any, trial: list, x: list) -> Any:
 
 
 def farthest(trial: list, x: list) -> Any:
-    """How far the number goes that goes farthest."""
+    """The largest change of any number from ``x`` to ``trial``."""
     import drjit as dr
 
     return reduce(dr.maximum, [dr.abs(t - v) for t, v in zip(trial, x)])
 
 
 def bounded_step(down: list, matrix: cholesky.Matrix, damping: Any, x: list, low: list, high: list) -> list:
-    """The damped step; an unknown at its bound that wants out takes no part in it."""
+    """The damped step; an unknown at its bound that would leave its range takes no part in it."""
     import drjit as dr
 
     stuck = [(v <= least) & (d < 0) | (v >= most) & (d > 0) for v, d, least, most in zip(x, down, low, high)]
@@ -245,7 +245,7 @@ def bounded_step(down: list, matrix: cholesky.Matrix, damping: Any, x: list, low
 
 
 def chosen(better: Any, new: Any, old: Any) -> Any:
-    """The new values where they are better, else the old ones; of lists, each."""
+    """The new values where they are better, else the old ones; in lists, item by item."""
     import drjit as dr
 
     return ([chosen(better, *pair) for pair in zip(new, old)] if isinstance(new, list)
@@ -253,7 +253,7 @@ def chosen(better: Any, new: Any, old: Any) -> Any:
 
 
 def traced_maps(mi: ModuleType, unknowns: Unknowns, x: list, fixed: dict) -> tuple[dict, list]:
-    """The maps as the plugin takes them (an unknown normal: its slopes), and their slopes by unknowns."""
+    """The maps as the plugin takes them (unknown normal: its slopes), and their derivatives by unknowns."""
     def whole(planes: Sequence) -> Any:
         return mi.Color3f(*planes) if len(planes) == 3 else planes[0]
 
@@ -266,7 +266,7 @@ def traced_maps(mi: ModuleType, unknowns: Unknowns, x: list, fixed: dict) -> tup
 
 
 def turned(direction: Any, towards_s: Any, towards_t: Any) -> Any:
-    """The slope of a direction in a shading frame whose normal turns towards its tangents.
+    """The derivative of a direction in a shading frame whose normal turns towards its tangents.
 
     The frame's turn about the normal itself is omitted: no lobe sees it.
     """
@@ -275,7 +275,7 @@ def turned(direction: Any, towards_s: Any, towards_t: Any) -> Any:
 
 
 def traced_decode(value: Any) -> tuple:
-    """:func:`mitsvbrdf.color.decode` of gamma 2.2, and its slope."""
+    """:func:`mitsvbrdf.color.decode` of gamma 2.2, and its derivative."""
     import drjit as dr
 
     toe = color.TOE ** (1 / 2.2)

@@ -1,14 +1,14 @@
 """Lobes that texels share: a mixture of Gaussians of their specular, metallic and roughness.
 
-Texels that look alike (:mod:`.sharing`) have the lobes in like shares. Means, spreads and shares follow from
-the evidence of all texels by expectation-maximisation, with the full covariance of each texel (extreme
+Texels that look alike (:mod:`.sharing`) have the lobes in similar shares. Means, spreads and shares follow
+from the evidence of all texels by expectation-maximisation, with the full covariance of each texel (extreme
 deconvolution; Bovy et al. 2011). A lobe whose texels saw no highlight moves along their valley until others
-fix it. Of many candidates those stay that have texels (Kiefer and Wolfowitz 1956). The last lobe is a wide
-one, of texels like no others.
+fix it. Of many candidates, only those with texels stay (Kiefer and Wolfowitz 1956). The last lobe is wide: it
+is for texels that resemble no others.
 
-Small systematic evidence times thousands of texels is no evidence. Texels that the same photos light err
-alike, so what is known beforehand counts as one texel a photo: most things are dielectrics of F0 near 0.04,
-some are metals, and anything else must be shown.
+A small systematic error, summed over thousands of texels, is no evidence. Texels lit by the same photos have
+similar errors, so beside prior knowledge all texels of a lobe count as one texel a photo. Prior knowledge:
+most things are dielectrics of F0 near 0.04, some are metals, and anything else must be shown.
 """
 
 from typing import NamedTuple
@@ -21,18 +21,18 @@ from .evidence import Evidence
 from .texel_prior import BOUNDS
 
 CANDIDATES, MOST, FEWEST = 96, 24, 0.004  # lobes tried, most kept, and share of texels that one must have
-TEXELS, SAME = 2.0, 0.5  # that a lobe must have; squared deviations by which two lobes are the same
-WEIGHING, ROUNDS = 60, 16  # of expectation-maximisation: of the candidates' shares, and of everything
-ANEW = 5  # the same, where it is known which lobe texels have
+TEXELS, SAME = 2.0, 0.5  # texels that a lobe must have; squared deviations below which two lobes are the same
+WEIGHING, ROUNDS = 60, 16  # rounds of expectation-maximisation: for the candidates' shares, for everything
+ANEW = 5  # the same, where the lobe of each texel is known
 FIRST_SPREAD, LEAST_SPREAD = 0.05, 0.015  # deviations of texels from their lobe
 WIDE = 0.5, 0.25  # mean and deviation of the last lobe's numbers
-COMMON = 20.0  # texels whose worth the common spread counts as in that of each lobe
-# specular of dielectrics, metals and anything else in linear^(1/2.2): mean of the channels, its deviation,
-# that of the channels from it, and share
+COMMON = 20.0  # number of texels that the common spread counts as in the spread of each lobe
+# specular of dielectrics, metals and anything else in linear^(1/2.2): mean of the channels, deviation of this
+# mean, deviation of the channels from it, and share
 KINDS = ((DIELECTRIC_F0 ** (1 / 2.2), 0.03, 0.02, 0.6), (0.82, 0.1, 0.1, 0.2), (0.5, 0.25, 0.15, 0.2))
-LIKE_OTHERS, NEAR = 0.8, 0.03  # how likely a lobe has the specular of another lobe, and how nearly so
+LIKE_OTHERS, NEAR = 0.8, 0.03  # probability that a lobe has another lobe's specular; deviation from that
 METAL, RARE = 0.55, 0.1  # specular from which a lobe is a metal's; how rare metals are beside others
-VAGUE = 1e-2  # precision of any number beforehand
+VAGUE = 1e-2  # prior precision of any number
 NOBODY = 1e-12  # least share of a lobe
 
 
@@ -41,7 +41,7 @@ class Lobes(NamedTuple):
 
     Args:
         mean: Q x S.
-        variance: of texels around it, Q x S.
+        variance: of texels around the mean, Q x S.
         share: of the lobes in each basis material, K x Q; rows sum to 1.
     """
 
@@ -50,19 +50,19 @@ class Lobes(NamedTuple):
     share: Tensor
 
     def shares(self, member: Tensor) -> Tensor:
-        """Shares of the lobes in M texels, M x Q, by how much of each basis material these are, M x K."""
+        """Shares of the lobes in M texels, M x Q, by the shares ``member`` of basis materials, M x K."""
         return (member @ self.share.to(member.dtype)).clamp_min(NOBODY)
 
 
 class Posterior(NamedTuple):
-    """What texels would be with a lobe, ... for texels (and lobes).
+    """What texels would be with a lobe; ``...`` stands for texels (and lobes).
 
     Args:
         cost: -2 log of the marginal likelihood, ...
         mean: of their numbers, ... x S.
         variance: ... x S.
-        weight: of what a texel says of the lobe's mean, ... x S x S.
-        says: that, times the weight, ... x S.
+        weight: precision of the lobe's mean as one texel tells it, ... x S x S.
+        says: the lobe's mean as one texel tells it, times the weight, ... x S.
     """
 
     cost: Tensor
@@ -78,7 +78,7 @@ def posterior(found: Evidence, near: int, mean: Tensor, variance: Tensor) -> Pos
     Args:
         found: of the photos.
         near: which answer.
-        mean: of the lobe, or of each texel's, (M x) S.
+        mean: of the lobe, or of each texel's lobe, (M x) S.
         variance: the same.
     """
     x, cost, slope, curve = (part[near] for part in found)
@@ -118,9 +118,9 @@ class Learner:
         return Posterior(*(torch.stack(part, dim=1) for part in zip(*parts, strict=True)))
 
     def learned(self, found: Evidence, seed: int) -> Lobes:
-        """The lobes, from nothing: begun at what texels are, and at dielectrics, whichever ends likelier.
+        """Learn lobes from two starts, the texels' own answers and dielectrics; gives the likelier end.
 
-        Where noise hides a lobe, what texels are on their own is chance.
+        Where noise hides a lobe, the texels' own answers are chance.
 
         Args:
             found: of the photos of all texels, at some roughnesses.
@@ -154,12 +154,12 @@ class Learner:
         return lobes, float(torch.logsumexp(lobes.shares(self.member).log() - cost / 2, dim=1).sum())
 
     def moved(self, lobes: Lobes, found: Evidence, lobe: Tensor) -> Lobes:
-        """The lobes moved to where the texels are that have them.
+        """The lobes, each moved to the texels that have it.
 
         Args:
             lobes: so far.
             found: of the photos, around the answer of each texel.
-            lobe: that each of the M texels has.
+            lobe: the lobe of each of the M texels.
         """
         has = torch.nn.functional.one_hot(lobe, len(lobes.mean)).double()
         for _ in range(ANEW):
@@ -168,7 +168,7 @@ class Learner:
         return lobes
 
     def _fewer(self, lobes: Lobes) -> Lobes:
-        """Without lobes that have no texels; those that are the same become one. The last one stays."""
+        """The lobes without those that have no texels; equal lobes become one. The last lobe stays."""
         texels, last = self.count @ lobes.share, len(lobes.mean) - 1
         kept, share = [last], lobes.share.clone()
         for k in texels.argsort(descending=True).tolist():
@@ -207,7 +207,7 @@ class Learner:
         return Lobes(mean, spread, share / (count + told))
 
     def _usual(self, weight: Tensor, says: Tensor, texels: Tensor) -> tuple[Tensor, Tensor]:
-        """Precision of specular beforehand, Q x S x S, and that times its mean: of kinds and other lobes."""
+        """Prior of specular from kinds and other lobes: precision Q x S x S, and precision times mean."""
         of, count = self.specular, int(self.specular.sum())
         once = (texels / self.photos).clamp_min(1)[:, None, None]
         covariance = torch.linalg.inv(weight)[:, of][:, :, of] * once  # Q x C x C

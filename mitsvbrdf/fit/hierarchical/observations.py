@@ -20,10 +20,10 @@ from .texel_prior import TexelEstimate, TexelPrior
 from .time_budget import TimeBudget
 from .view_corrections import ViewCorrections
 
-ROBUST = 3.0  # errors beyond so many times the noise count by their size alone
+ROBUST = 3.0  # errors beyond this many times the noise count by their absolute value, not by their square
 ROBUST_END = 10.0  # the same at full size of real photos, where every start is near its highlight
-CHANCE = 0.08  # of a map's variance: what a pattern of its own may have in common with the coverage angle
-TAIL_FLOOR = 0.03  # least that a pixel counts
+CHANCE = 0.08  # share of a map's variance that its own pattern may have in common with the coverage angle
+TAIL_FLOOR = 0.03  # least weight of a pixel
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +34,7 @@ class ObservationModel:
         stages: where the fit stands.
         corrections: where camera and flash stood.
         config: settings.
-        budget: learns what steps take.
+        budget: learns how long steps take.
     """
 
     stages: Stages
@@ -60,12 +60,12 @@ class ObservationModel:
             return stepped(scale.solver, self.observations(scale, answer), answer, prior, steps)
 
     def measure_noise(self, svbrdf: SVBRDF, capture: Capture, unknowns: int, renderer: Renderer) -> None:
-        """Learn the noise of exact photos from a material of their size, of so many unknowns a texel."""
+        """Learn the noise of exact photos from a material of their size with ``unknowns`` a texel."""
         views = self.corrections.applied(capture.views)
         self.stages.measure(sensor_noise(svbrdf, views, capture, renderer, unknowns))
 
     def without_burn_in(self, planes: Tensor, scale: Scale, estimate: TexelEstimate) -> Tensor:
-        """Shared unknowns that do not follow the highlights of real photos."""
+        """Shared unknowns, corrected so that they do not follow the highlights of real photos."""
         if not (len(planes) and self.stages.tied and self.config.remove_burn_in):
             return planes
         views, reach = self.corrections.applied(scale.capture.views), self.config.highlight_reach or 1.0
@@ -75,11 +75,11 @@ class ObservationModel:
 
 
 def trust(views: Views, roughness: Tensor, reach: float, rows: slice = ALL) -> Tensor:
-    """How much a photo's pixels count, N x ? x R: less where the flash is seen far from its mirror direction.
+    """Weights of a photo's pixels, N x ? x R: lower where the flash is seen far from its mirror direction.
 
-    There GGX is least like real materials (their highlights have longer tails), and a small glow, which all
-    texels without a highlight show, would be taken for roughness. 1 / (1 + tan^2 / (reach alpha)^2) of the
-    angle between half vector and the flat normal.
+    There GGX differs most from real materials, whose highlights have longer tails. All texels without a
+    highlight show a faint glow, which would be taken for roughness. The weight is 1 / (1 + tan^2 / (reach
+    alpha)^2) of the angle between half vector and flat normal.
 
     Args:
         views: N views.
@@ -92,16 +92,16 @@ def trust(views: Views, roughness: Tensor, reach: float, rows: slice = ALL) -> T
 
 
 def without_burn_in(planes: Tensor, views: Views, trusted: Tensor) -> Tensor:
-    """Maps S x R x R with a weaker cubic trend along the coverage angle, at the highlights' level.
+    """Maps S x R x R with a weaker cubic trend along the coverage angle; the level at highlights stays.
 
-    A material knows nothing of where the camera stood; a map that follows it was taught by what the model
-    lacks. As much of the trend stays as explains a share :data:`CHANCE` of a map's variance: that may be the
+    A material does not depend on where the camera stood; a map that follows the camera holds errors of the
+    model. The part of the trend that explains a share :data:`CHANCE` of a map's variance stays: it may be the
     material's own.
 
     Args:
         planes: S x R x R.
         views: N views.
-        trusted: of :func:`trust`, the most over the photos, R x R.
+        trusted: the largest :func:`trust` over the photos, R x R.
     """
     angle, weight, found = coverage_angle(views, planes.shape[-1]).flatten(), trusted.flatten(), []
     for plane in planes:

@@ -14,7 +14,7 @@ FOLLOW = "the photos follow the model"
 
 
 def decided_later(task: FitTask[HierarchicalConfig]) -> list[Omitted]:
-    """What a fit decides while it runs; ``why`` says when it omits it."""
+    """What a fit may omit while it runs; ``why`` says on which condition."""
     exact, matte = task.config.exact, f"no block of texels needs a lobe, and one of {WEAK:g} would show"
     if exact is not None:
         if not exact or not may_be_omitted(task):

@@ -1,4 +1,4 @@
-"""Stages of real photos: texels are tied, then free as far as photos ask for, and lose burn-in."""
+"""Stages of real photos: texels are tied, then as free as the photos ask for; burn-in is removed."""
 
 from dataclasses import replace
 
@@ -32,12 +32,12 @@ class RealPhotos:
     def __init__(self, search: Search, seen: ObservationModel) -> None:
         (self.scales, self.prior), self.seen = search, seen
         self.photos = len(self.scales.of(Stage.ALONE).capture)
-        self.curve: color.Curve | None = None  # that the photos were found to ask for
-        # what the present answer ends in, once it was asked for: its shared numbers, and all
+        self.curve: color.Curve | None = None  # the response curve that the photos ask for
+        # result of :meth:`close` for the present answer, once it was asked for: shared numbers, all numbers
         self.closed: tuple[Tensor, Tensor] | None = None
 
     def next_prior(self, scale: Scale, photos: Observations, answer: TexelEstimate) -> TexelEstimate:
-        """The answer with the prior of the next round, from what texels are seen to be."""
+        """The answer with the prior of the next round, which is learned from the present texels."""
         variance = variances(scale.solver, photos, answer)
         if scale.free:
             return self.prior.loosen(answer, variance)
@@ -46,7 +46,7 @@ class RealPhotos:
 
     @property
     def may_learn(self) -> bool:
-        """Whether there is time to learn how far to believe the photos."""
+        """Whether there is time to learn the noise of the photos by cross-validation."""
         return self._in_time(steps_of_turns(self.photos))
 
     def _in_time(self, steps: int) -> bool:
@@ -60,10 +60,10 @@ class RealPhotos:
 
     def learn(self, tied: TexelEstimate, scale: Scale, hurried: bool,
               renderer: Renderer) -> tuple[Scale, TexelEstimate]:
-        """Learn the response curve, and the noise at full size, by which photos predict each other well.
+        """Learn the response curve and the noise at full size with which photos predict each other well.
 
         Returns:
-            The photos through the curve that they ask for, if any, and their answer.
+            The scale, with the response curve that its photos ask for, if any, and the answer.
         """
         if hurried or not in_turn(self.photos):
             return scale, tied
@@ -86,7 +86,7 @@ class RealPhotos:
         return scale, tied
 
     def seen_through(self, capture: Capture) -> Capture:
-        """Photos through the curve that they ask for, with a note on it; as they are where there is none."""
+        """The capture with the response curve that its photos ask for, and a note; unchanged without one."""
         if self.curve is None or capture.transfer == self.curve.behind(capture.transfer):
             return capture
         told = (f"held-out photos ask for a response curve, which is used: gamma {self.curve.gamma:.2f}, "
@@ -95,7 +95,7 @@ class RealPhotos:
         return capture.but(transfer=self.curve.behind(capture.transfer), notes=(*capture.notes, told))
 
     def _held_out(self, tied: TexelEstimate, scale: Scale) -> dict[int, TexelEstimate]:
-        """The answer that each photo is predicted with, from all others."""
+        """For each photo held out, the answer from all other photos, which predicts it."""
         found, every = dict[int, TexelEstimate](), self.seen.observations(scale, tied)
         for photo in in_turn(self.photos):
             others, answer = every.without(photo), tied
@@ -121,15 +121,15 @@ class RealPhotos:
         return NOISES[least_as_good(prediction_errors(photos, sharp.solver, self.prior, starts, NOISES))]
 
     def close(self, answer: TexelEstimate, scale: Scale, more: int = 0) -> Tensor:
-        """An answer with what the photos burnt in taken out, and the diffuse map that belongs to it.
+        """The answer without burn-in, and with a diffuse map that is solved for its other maps.
 
-        Before the last stage: of an answer as if that stage began now. Steps that cannot end in time are
-        omitted.
+        Before the last stage, the answer is treated as if the last stage began now. Steps that cannot end in
+        time are omitted.
 
         Args:
             answer: with tied texels, or free ones.
-            scale: of it.
-            more: steps to take where the answer has been closed already.
+            scale: of the answer.
+            more: steps to take if the answer was closed before.
 
         Returns:
             The unknowns, U x R x R.
@@ -151,9 +151,9 @@ class RealPhotos:
 
     def _ended(self, answer: TexelEstimate, shared: Tensor, scale: Scale, steps: int,
                start: Tensor | None) -> Tensor:
-        """An answer with other shared numbers, S x R x R, after steps in which only the diffuse map may move.
+        """The answer with ``shared`` numbers, S x R x R, after steps in which only the diffuse map may move.
 
-        Steps from ``start``, U x R x R; None: from these numbers themselves.
+        The steps begin at ``start``, U x R x R; None: at the answer with these shared numbers.
         """
         photos, found = self.seen.observations(scale, answer), torch.empty_like(answer.x)
         with self.seen.budget.timed("solver", steps * scale.texels):

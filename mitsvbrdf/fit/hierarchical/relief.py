@@ -1,8 +1,8 @@
 """How steep texels are: a mixture of normal distributions of slopes, learned from all texels.
 
-Most of a surface may be flat while its edges are steep. One width fits neither: flat texels are free to tilt,
-and a steep texel finds any other answer likelier than its slope. The shares of many widths follow from all
-texels (Kiefer and Wolfowitz 1956). Each texel then has a precision of its own, that of a scale mixture of
+Most of a surface may be flat while its edges are steep. A single width fits neither: flat texels are free to
+tilt, and any other answer of a steep texel is likelier than its slope. The shares of many widths follow from
+all texels (Kiefer and Wolfowitz 1956). Each texel then has a precision of its own, as in a scale mixture of
 normal distributions (Andrews and Mallows 1974).
 """
 
@@ -15,7 +15,7 @@ STEEPEST = 10.0  # slope of a normal: 84 degrees
 WIDTHS = [0.005 * 2.0**k for k in range(11)]  # standard deviations of a slope
 ROUNDS = 40  # of expectation-maximisation
 NOBODY = 1e-6  # least share of a width
-SAMPLED = 256  # texels a side that are learned from
+SAMPLED = 256  # most texels a side from which the shares are learned
 
 
 class Relief:
@@ -26,10 +26,10 @@ class Relief:
 
     @classmethod
     def learned(cls, x: Tensor, variance: Tensor, precision: Tensor) -> Relief:
-        """The shares that make the photos likeliest, by what they say of each texel's slopes (a normal
+        """The shares of maximum likelihood, given what the photos say of each texel's slopes (a normal
         distribution; Bovy et al. 2011).
 
-        What the prior says is taken out: where the photos say little, an answer is as steep as its prior was.
+        The prior is removed first: where the photos say little, an answer is as steep as its prior was.
 
         Args:
             x: slopes of the answer, 2 x R x R.
@@ -43,7 +43,7 @@ class Relief:
         pull = (x / variance).clamp(-STEEPEST * told, STEEPEST * told)
         spread = torch.tensor(WIDTHS).double().square()[:, None, None]
         wide = 1 + told * spread
-        # of each width, over that of a flat texel
+        # log likelihood of each width, relative to that of a flat texel
         likely = (pull.square() * spread / wide - wide.log()).sum(dim=1) / 2
         likely, share = (likely - likely.amax(dim=0)).exp(), torch.full_like(likely[:, 0], 1 / len(WIDTHS))
         for _ in range(ROUNDS):
@@ -52,11 +52,11 @@ class Relief:
         return cls(share / share.sum())
 
     def precision(self, square: Tensor) -> Tensor:
-        """Of the normal distribution that stands for the mixture at slopes of these squares."""
+        """Precision of the normal distribution that stands for the mixture, at sums of squared slopes."""
         return sum((s / w**2 * _density(square, w) for s, w in self._widths), 0.0) / self._density(square)
 
     def improbability(self, square: Tensor) -> Tensor:
-        """-2 log of the density of slopes of these squares, less 2 log 2 pi."""
+        """-2 log of the density of two slopes with these sums of squares, less 2 log 2 pi."""
         return -2 * self._density(square).log()
 
     @property
@@ -68,5 +68,5 @@ class Relief:
 
 
 def _density(square: Tensor, width: float) -> Tensor:
-    """Of two slopes of this sum of squares, times 2 pi."""
+    """Density of two slopes with these sums of squares, times 2 pi."""
     return torch.exp(-square / (2 * width**2)) / width**2

@@ -1,8 +1,8 @@
 """The response curve that photos of a phone ask for: two numbers that all photos share.
 
-Maps that are held explain a wrong curve, so they would hold it. It moves as if every texel followed at once:
-texels are eliminated from the normal equations (Schur complement; Triggs et al. 1999). Photos held out decide
-whether it stays.
+Maps have adapted to a wrong curve, so held maps would hold the curve, too. So the curve moves as if every
+texel followed at once: texels are eliminated from the normal equations (Schur complement; Triggs et al.
+1999). Photos held out decide whether the curve is kept.
 """
 
 from collections.abc import Callable
@@ -20,26 +20,26 @@ from .texel_prior import LEAST_PRECISION, TexelEstimate, TexelPrior
 from .time_budget import STEPS
 
 ROUNDS = 10  # at most
-TRIALS = 3  # of a step, each a quarter of the one before
-STILL = 0.05  # a step that ends the search
+TRIALS = 3  # of a step; each is a quarter as long as the one before
+STILL = 0.05  # a shorter step ends the search
 WORK = ROUNDS * (TRIALS * STEPS + 5)  # in steps of the solver, at most
-CLEAR = 0.02  # share of the data cost that a curve saves at least
+CLEAR = 0.02  # least share of the data cost that a curve must save
 LIMITS = torch.tensor(((0.4, 4.0), (-0.8, 10.0)), dtype=torch.float64)  # of gamma and shoulder
-LONGEST, DIFFERENCE = 0.5, 1e-3  # step, and that of central differences
-VAGUE = 1.0  # precision of both numbers beforehand
+LONGEST, DIFFERENCE = 0.5, 1e-3  # longest step of a number; step of the central differences
+VAGUE = 1.0  # prior precision of both numbers
 Sharing = Callable[[Scale, Observations, TexelEstimate], TexelEstimate]  # gives the prior of the next round
 
 
 def curved(scale: Scale, answer: TexelEstimate, observed: Callable[[Scale, TexelEstimate], Observations],
            prior: TexelPrior, next_prior: Sharing, renderer: Renderer) -> tuple[Scale, TexelEstimate] | None:
-    """Photos through the curve that explains them best, with their answer; None where it explains little.
+    """The scale with the curve that explains its photos best, and the answer; None if that saves little.
 
     Args:
-        scale: of the photos, through no curve.
+        scale: of the photos, without a curve.
         answer: of its texels.
         observed: gives the photos of a round.
         prior: of the texels.
-        next_prior: of the texels in a round.
+        next_prior: gives the answer with the prior of the next round.
         renderer: of the material.
     """
     plain, solver = scale.capture.transfer, scale.solver
@@ -70,7 +70,7 @@ def curved(scale: Scale, answer: TexelEstimate, observed: Callable[[Scale, Texel
 
 def _step(curve: color.Curve, scale: Scale, answer: TexelEstimate, photos: Observations,
           renderer: Renderer) -> Tensor:
-    """The Gauss-Newton step of the curve, two numbers, every texel following."""
+    """The Gauss-Newton step of the curve, two numbers, if every texel follows the curve."""
     with torch.no_grad():
         images = renderer.render(scale.solver.svbrdf(answer.x), photos.views)
     display, do = color.encode(images, color.parts(photos.transfer)[0]), color.of_torch()
@@ -82,7 +82,7 @@ def _step(curve: color.Curve, scale: Scale, answer: TexelEstimate, photos: Obser
     weight = ((seen < color.CLIPPED) | (error < 0)).float()
     if photos.robust is not None:
         weight = weight / (1 + (error / photos.robust).square()).sqrt()
-    weight = weight.amin(dim=-1) * (1 if weights is None else weights)  # one for a pixel, as in the solver
+    weight = weight.amin(dim=-1) * (1 if weights is None else weights)  # one weight a pixel, for the solver
     alone = replace(photos, robust=None, weights=weight, sensor=None)
     columns = []
     for column in (error, *slopes):  # J^T W of each

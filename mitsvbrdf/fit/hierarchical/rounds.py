@@ -1,15 +1,15 @@
 """``hierarchical``, the default: every texel solved by itself, tied to the texels that look like it.
 
-A texel has nine unknowns and some nine grey values. On its own it explains its photos by whatever fits:
-unseen highlights stay open, and errors of the model are burnt in. So texels are solved (:mod:`.solver`),
-share specular and roughness with those that look alike (:mod:`.sharing`), and camera and flash are refined
-(:mod:`.view_corrections`), in turns. A neighbour's better estimate becomes a start (:mod:`.starts`;
-PatchMatch, Barnes et al. 2009).
+A texel has nine unknowns and about nine grey values. On its own it explains its photos by whatever fits:
+unseen highlights stay open, and errors of the model are burnt in. So three steps alternate: texels are solved
+(:mod:`.solver`), they share specular and roughness with texels that look alike (:mod:`.sharing`), and camera
+and flash are refined (:mod:`.view_corrections`). A neighbour's better estimate becomes a start
+(:mod:`.starts`; PatchMatch, Barnes et al. 2009).
 
 What a first free fit leaves unexplained tells simulated photos from real ones (:mod:`.stages`). Real photos
-are explained at 64 px, where texels must agree; at full size each texel may leave that as far as the photos
-ask for (:mod:`.texel_prior`, :mod:`.cross_validation`). Texels of simulated photos share lobes that are
-learned from all of them (:mod:`.shared_lobes`), or have none where none is needed (:mod:`.specular_test`).
+are explained at 64 px, where texels must agree; at full size each texel may leave its 64 px value as far as
+the photos ask for (:mod:`.texel_prior`, :mod:`.cross_validation`). Texels of simulated photos share lobes
+learned from all of them (:mod:`.shared_lobes`), or have no lobe where none is needed (:mod:`.specular_test`).
 """
 
 from dataclasses import replace
@@ -41,22 +41,22 @@ from .texel_prior import TexelEstimate, TexelPrior
 from .time_budget import FAR_STEPS, LAST_STEPS, OTHER_STEPS, ROUND_STEPS, STEPS, TimeBudget
 from .view_corrections import LEVELLED, REFINED, ViewCorrections
 
-MIXED = 2.0  # times the structure that single pixels leave: their averages follow the model no longer
-SHOWN = 256  # texels a side that a preview has, or somewhat more
+MIXED = 2.0  # times the structure that single pixels leave: beyond, their averages do not follow the model
+SHOWN = 256  # texels a side of a preview, or somewhat more
 
 
 class Hierarchical(Method[HierarchicalConfig]):
     """Rounds of the hierarchical fit.
 
     Args:
-        task: what to fit. Its renderer draws the comparison; the solver runs Mitsuba's BSDF whatever it is.
+        task: what to fit. Its renderer draws the comparison; the solver always runs Mitsuba's BSDF.
 
     Raises:
         BackendError: Mitsuba, the variant or libLLVM is missing.
     """
 
-    measured_every = 6  # rounds; of exact photos at full size 1: a sample does, and no older planes are kept
-    latest_is_best = True  # the photos seen are explained best by maps that burn highlights in
+    measured_every = 6  # rounds; 1 for exact photos at full size: a sample suffices and keeps no older planes
+    latest_is_best = True  # maps with burnt-in highlights would explain the photos seen best
 
     def __init__(self, task: FitTask[HierarchicalConfig]) -> None:
         super().__init__(task)
@@ -81,7 +81,7 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     @property
     def prior(self) -> TexelPrior:
-        """Of the texels."""
+        """The prior of the texels."""
         return self.exact.prior
 
     @property
@@ -95,7 +95,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         return self.prior.vague(solver.numbers(robust_start(capture, guess, solver.bsdf, solver.fixed)))
 
     def step(self, progress: float) -> dict[str, float]:
-        """One round of the present stage or the first of the next; without time for one, the last steps."""
+        """One round of the present stage, or the first of the next; the last steps if no round is in time."""
         stages = self.stages
         self.budget.begin(progress)
         if stages.over(progress, short=not self.budget.in_time(ROUND_STEPS * self.scale.texels)):
@@ -143,7 +143,7 @@ class Hierarchical(Method[HierarchicalConfig]):
                            make_renderer("mitsuba", self.variant))
 
     def averages_mix(self) -> bool:
-        """Whether single pixels of photos that were shrunk follow the model, and averages less (a fit)."""
+        """Whether single pixels of shrunk photos follow the model, and their averages less (takes a fit)."""
         pixels = self.task.capture.of_single()
         if pixels is None or not self.stages.known:
             return False
@@ -164,13 +164,13 @@ class Hierarchical(Method[HierarchicalConfig]):
         return self.stages.settled
 
     def solve(self) -> Tensor:
-        """Solve every texel, then try other starts where they lead to less; returns the mean cost."""
+        """Solve every texel, then take other starts where they cost less; returns the mean cost."""
         fine, turn, lobes = self.stages.stage == Stage.FINE, self.stages.rounds, self.exact.lobes
         steps = self.budget.steps(STEPS, self.budget.to_come) if fine else STEPS
         others = FAR_STEPS if lobes else OTHER_STEPS
         scoring, self.cut, before = self._scoring(), steps < STEPS, self.answer.x
-        self.answer = self.answer.copy()  # a state may have the planes
-        cost = scoring.scored(self.answer, 0)[1] if lobes else None  # steps do not know the whole evidence
+        self.answer = self.answer.copy()  # a saved state may hold the planes
+        cost = scoring.scored(self.answer, 0)[1] if lobes else None  # steps lower only a part of the cost
         self.answer, cost = scoring.scored(self.answer, steps, cost=cost)
         moved = sum(int(((self.answer.x[:, rows] - before[:, rows]).abs().amax(dim=0) > MOVED).sum())
                     for rows in strips(before.shape[-1])) / cost.numel()
@@ -198,7 +198,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         return cost.mean()
 
     def _scoring(self) -> Scoring:
-        """What texels of the present round cost."""
+        """The costs of texels in the present round."""
         photos = self.seen.observations(self.scale, self.answer)
         return Scoring(self.scale, photos, self.prior, self.exact.lobes, self.budget)
 
@@ -220,7 +220,7 @@ class Hierarchical(Method[HierarchicalConfig]):
                                         self.engine)
 
     def estimate(self) -> tuple[SVBRDF, Views]:
-        """The present maps at full size, of tied texels with the freedom that they have in the end."""
+        """The present maps at full size; tied texels get the freedom that they have in the last stage."""
         x = self.real.close(self.answer, self.scale) if self.stages.tied else self.answer.x
         if self.ended:
             self.real.closed = None
@@ -229,7 +229,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         return solver.svbrdf(x), views
 
     def glimpse(self) -> tuple[SVBRDF, Views, Capture] | None:
-        """Before full size, and of exact photos always: the present maps beside every k-th pixel."""
+        """Before full size, and always for exact photos: the present maps, and every k-th pixel of photos."""
         full = self.scale.capture.resolution == self.capture.resolution
         if full and self.measured_every > 1:
             return None
@@ -237,7 +237,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         return self.preview().resized(sharp.resolution), self.corrections.applied(self.views), sharp
 
     def preview(self) -> SVBRDF:
-        """The present answer as it is, of large ones every k-th texel."""
+        """The material of the present answer; of every k-th texel, if the answer is large."""
         x = sampled(self.answer.x, SHOWN)
         return self.scales.solver(x.shape[-1]).svbrdf(x)
 
@@ -256,7 +256,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         parts = *(part.state() for part in (self.stages, self.corrections, self.exact, self.real,
                                             self.budget)),
         copies = {name: value.clone() for part in parts for name, value in part.items()}
-        # nothing writes into the planes of an answer, which are large
+        # the planes of an answer are large, and nothing writes into them: they are not copied
         return self.answer._asdict() | {"precision": self.answer.once()} | copies
 
     def load_state(self, state: dict[str, Tensor]) -> None:

@@ -32,7 +32,7 @@ class Scale:
         solver: of R x R texels.
         basis: appearance of the basis materials, K x 5.
         width: how alike texels must look to share.
-        free: whether texels have left what their look-alikes said.
+        free: whether texels may leave the values of their look-alikes.
     """
 
     capture: Capture
@@ -44,7 +44,7 @@ class Scale:
 
     @property
     def texels(self) -> int:
-        """Their number."""
+        """The number of texels."""
         return self.capture.resolution**2
 
     @cached_property
@@ -54,18 +54,18 @@ class Scale:
 
     @cached_property
     def member(self) -> Tensor:
-        """How much of each basis material texels are, M x K."""
+        """Shares of the basis materials in each texel, M x K."""
         return torch.cat(list(self.members()()))
 
     def members(self, kept: bool = False) -> Callable[[], Iterable[Tensor]]:
-        """Gives the same in parts, again and again: kept, or made anew."""
+        """A function that gives :attr:`member` in parts at each call: kept in memory, or computed again."""
         if kept:
             return partial(self.member.split, STRIP)
         look = appearance_of(self.capture, self.guess)
         return lambda: (membership(part, self.basis, self.width) for part in look.split(STRIP))
 
     def add_basis(self, planes: Tensor, values: Tensor) -> None:
-        """Add numbers of the basis materials, S x K, to those of the texels, S x M, by their look."""
+        """Add to ``planes`` of the texels, S x M, the ``values`` of their basis materials, S x K."""
         for here, part in zip(planes.split(STRIP, dim=1), self.members()()):
             here += values @ part.T
 
@@ -81,8 +81,8 @@ class Scales:
         self.guess, self.fixed, self.config, self.variant = guess, fixed, config, variant
         sampled, averaged = (make(min(COARSE, capture.resolution))
                              for make in (capture.sampled, capture.averaged))
-        # Photos no larger than that are the same in every stage, down to how they lie in memory: sums depend
-        # on it.
+        # Photos no larger than COARSE are the same in every stage, even in their memory layout: sums
+        # depend on it.
         full = averaged if averaged.resolution == capture.resolution else capture
         self.captures = {Stage.ALONE: sampled, Stage.MULTI_START: sampled, Stage.TOGETHER: averaged,
                          Stage.FINE: full}

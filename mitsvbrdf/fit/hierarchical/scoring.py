@@ -1,8 +1,8 @@
 """What each texel's answer costs, and a further search where the photos refuse it.
 
-Most texels arrive from the usual starts. Some do not: a texel that turned away from the light explains its
-photos a thousand times worse than their noise allows, and knows no way out. The noise tells which these are.
-They alone are searched from more starts and by more steps (multi-start; Martí et al. 2018).
+Most texels converge from the usual starts. Some do not: a texel that turned away from the light explains its
+photos a thousand times worse than their noise allows, and stays there. The noise tells which texels these
+are. Only they are searched from more starts and by more steps (multi-start; Martí et al. 2018).
 """
 
 from collections.abc import Callable, Sequence
@@ -20,8 +20,8 @@ from .starts import LESS, Start, stepped
 from .texel_prior import TexelEstimate, TexelPrior
 from .time_budget import LAST_STEPS, TimeBudget
 
-RARE = 1e-6  # how often chance makes the errors of a texel larger than is believed
-FURTHER_STEPS, PASSES = 20, 3  # of the further search: steps from each start, and how often texels pass it
+RARE = 1e-6  # probability of errors by noise alone, below which the photos refuse a texel's answer
+FURTHER_STEPS, PASSES = 20, 3  # of the further search: steps from each start, passes over refused texels
 GROUP = 64  # texels a side of a square in which refused texels are searched together
 
 Scored = tuple[TexelEstimate, Tensor]  # an answer, and what each texel costs, R x R
@@ -36,7 +36,7 @@ class Scoring:
         photos: as the round sees them.
         prior: of the texels.
         lobes: that they share, if they do.
-        budget: learns what steps take.
+        budget: learns how long steps take.
     """
 
     scale: Scale
@@ -52,8 +52,8 @@ class Scoring:
         Args:
             answer: all texels; it is written into, and so is the cost.
             steps: of Levenberg-Marquardt.
-            start: from it.
-            cost: of the answer, R x R: texels keep what they are where they would not cost less.
+            start: gives the start of some rows of the answer.
+            cost: of the answer, R x R: texels stay as they are where the steps would not lower it.
         """
         def found(rows: slice) -> Scored:
             tried = self._tried(self.photos.of_rows(rows), start(answer, rows), steps)
@@ -84,7 +84,7 @@ class Scoring:
         return answer, cost
 
     def refused(self, answer: TexelEstimate) -> Tensor:
-        """Places of the texels whose errors are no noise (chi-square test)."""
+        """Places of the texels whose errors are too large for noise (chi-square test)."""
         from scipy.special import chdtri
 
         found, limit = [], chdtri(3 * len(self.photos.views), RARE)
@@ -96,12 +96,12 @@ class Scoring:
 
     def searched_further(self, answer: TexelEstimate, cost: Tensor,
                          starts: Callable[[TexelEstimate, Tensor], Sequence[TexelEstimate]]) -> Scored:
-        """The answer with the texels searched further that the photos refuse, while time is left.
+        """Search further for the texels that the photos refuse, while time is left; answer and its cost.
 
         Args:
             answer: of all texels; it is written into, and so is the cost.
             cost: of each, R x R.
-            starts: of texels at some places.
+            starts: gives starts of the texels at some places.
         """
         for _ in range(PASSES):
             refused, found, moved = self.refused(answer), list[tuple[Tensor, Scored]](), False
@@ -127,9 +127,9 @@ class Scoring:
 
 
 def write_by_tiles(answer: TexelEstimate, cost: Tensor, found: Callable[[slice], Scored]) -> None:
-    """Write what is found of tiles into all texels: each once no other tile starts from its old texels."""
+    """Write each tile's result into all texels, once no other tile starts from the tile's old texels."""
     side, waiting = len(cost), list[tuple[slice, Scored]]()
-    near = 1 + side // COARSE // tile_rows(side)  # tiles that a tile's starts lie in, each way
+    near = 1 + side // COARSE // tile_rows(side)  # neighbouring tiles, each way, that hold starts of a tile
 
     def write(rows: slice, part: Scored) -> None:
         answer.put(rows, part[0])

@@ -1,7 +1,7 @@
-"""The noise of exact photos by brightness, from what is left where texels are explained.
+"""The noise of exact photos by brightness, from the errors that remain where texels are explained.
 
-Noise of a sensor is about the same everywhere in linear light, so that of display values is small where they
-are bright. A highlight tells more of a metal than all dark pixels do.
+Sensor noise is about the same everywhere in linear light, so bright display values have little noise. A
+highlight tells more about a metal than all dark pixels do.
 """
 
 import torch
@@ -13,21 +13,21 @@ from ...material.maps import SVBRDF
 from ...render import Renderer
 from ...views import Views
 
-STEPS = 16  # of brightness, as many pixels in each
-NORMAL = 1.4826  # standard deviation of normal errors over the median of their sizes
+STEPS = 16  # of brightness, with equally many pixels in each
+NORMAL = 1.4826  # standard deviation of normal errors over the median of their absolute values
 
 
 def sensor_noise(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Renderer, unknowns: int) -> Tensor:
     """Brightness (mean display values) and standard deviation of display values there, 2 x :data:`STEPS`.
 
-    The median tells, so texels that are not explained yet do not count. No photo is more exact than 8 bits.
+    Medians are taken, so texels that are not explained yet do not count. No photo is more exact than 8 bits.
 
     Args:
-        svbrdf: that explains the photos best, R x R.
+        svbrdf: the material that explains the photos best, R x R.
         views: of the photos.
         capture: the photos, N x R x R.
         renderer: of the material.
-        unknowns: that each texel was explained with; they take that many of its 3 N values.
+        unknowns: their number in each texel; they use up that many of its 3 N values.
     """
     with torch.no_grad():
         images = renderer.render(svbrdf, views)
@@ -41,7 +41,7 @@ def sensor_noise(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Rende
 
 
 def noise_at(bright: Tensor, sensor: Tensor) -> Tensor:
-    """The standard deviation at some brightness, between the steps of :func:`sensor_noise`."""
+    """The standard deviation at some brightness, interpolated between the steps of :func:`sensor_noise`."""
     at, deviation = sensor
     above = torch.bucketize(bright, at).clamp(1, len(at) - 1)
     share = ((bright - at[above - 1]) / (at[above] - at[above - 1]).clamp_min(1e-6)).clamp(0, 1)

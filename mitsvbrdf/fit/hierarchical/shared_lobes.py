@@ -1,4 +1,4 @@
-"""Which of the shared lobes each texel of exact photos has, and what it is with it."""
+"""Which of the shared lobes each texel of exact photos has, and the texel's numbers with that lobe."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from .texel_prior import FIXED, TexelEstimate, TexelPrior
 
 LIKELY = 8  # lobes that are tried in a texel: those most common among its look-alikes
 TRIED = LIKELY + 2  # by :meth:`SharedLobes.averaged`
-TURNS = 6  # tilts that a texel is begun at whose photos refuse its answer
-FAR_MORE = 30.0  # log of how much likelier than the present one a lobe may count
+TURNS = 6  # tilts from which a texel starts again if its photos refuse its answer
+FAR_MORE = 30.0  # largest log ratio by which a lobe counts as likelier than the present one
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,8 +34,8 @@ class SharedLobes:
 
     Args:
         lobes: that they share.
-        prior: of them, whose normals may be steep.
-        relief: how steep they are.
+        prior: of the texels, whose normals may be steep.
+        relief: how steep the texels are.
         scale: of the texels.
     """
 
@@ -59,9 +59,9 @@ class SharedLobes:
     @classmethod
     def searched(cls, prior: TexelPrior, scale: Scale, answer: TexelEstimate, seen: ObservationModel,
                  renderer: Renderer) -> tuple[SharedLobes, TexelEstimate, Tensor]:
-        """Explain each texel at many roughnesses; learn of that the noise of the photos, then the lobes.
+        """Explain each texel at many roughnesses; from that, learn the noise of the photos, then the lobes.
 
-        Gives the lobes, texels with those that they most probably have, and their lowest mean cost.
+        Gives the lobes, the texels with their most probable lobes, and the mean of their lowest costs.
         """
         photos, side = replace(seen.observations(scale, answer), robust=None), scale.capture.resolution
         answers, best = searched(scale.solver, photos, prior, answer.x)
@@ -80,7 +80,7 @@ class SharedLobes:
                                     answer.spread, lobe.view(side, side).byte()), found.cost.amin(0).mean()
 
     def moved(self, scale: Scale, photos: Observations, answer: TexelEstimate) -> SharedLobes:
-        """The lobes moved to where the texels are that have them."""
+        """The lobes, each moved to the texels that have it."""
         found = evidence(scale.solver, photos, self.prior.whole(answer), self.prior.shared, [answer.x])
         learner = Learner(self.prior.names, scale.member, len(scale.capture))
         lobes = learner.moved(self.lobes, found, answer.lobe.flatten().long())
@@ -92,13 +92,13 @@ class SharedLobes:
         return answer._replace(x=answer.x.index_copy(0, self.prior.shared, mean))
 
     def enlarged(self, answer: TexelEstimate, fine: Scale) -> TexelEstimate:
-        """Texels of full size, each as the next coarse one: these are some of them; lobes do not mix."""
+        """Texels at full size, each a copy of the nearest coarse one (one of them); lobes do not mix."""
         count, side = answer.x.shape[-1], fine.capture.resolution
         at = (2 * torch.arange(side) + 1) * count // (2 * side)
         return answer.of_texels(at[:, None] * count + at)
 
     def improbability(self, solver: TexelSolver, photos: Observations, answer: TexelEstimate) -> Tensor:
-        """What costs of the photos' texels lack to -2 log of the lobes' marginal likelihood (Laplace)."""
+        """What the texels' costs lack to be -2 log of the marginal likelihood of their lobes (Laplace)."""
         answer, places = self.prior.whole(answer), photos.places(slice(0, len(answer.lobe)))
         _, narrowed = solver.posterior(photos, answer.x, answer.precision)
         rare = [self.rare(at).gather(0, lobe[None].long())[0] for at, lobe in zip(
@@ -110,7 +110,7 @@ class SharedLobes:
                 - (answer.precision[self.prior.slopes] * square).sum(dim=0))
 
     def with_relief(self, answer: TexelEstimate, photos: Observations) -> SharedLobes:
-        """With the relief that texels are seen to have, and write the prior of slopes that this gives."""
+        """Learn the relief from the texels, and write the prior of slopes that it gives into the answer."""
         relief, square = relief_of(self.prior, self.scale.solver, photos, answer)
         for rows in strips(len(square)):
             answer.precision[:, rows] = relief.precision(square[rows])
@@ -123,7 +123,7 @@ class SharedLobes:
 
     @cached_property
     def others(self) -> list[Tensor]:
-        """Lobes that texels may have, 8 bits: common ones, and the last, that of texels like no others."""
+        """Lobes that texels may have, 8 bits: the common ones, then the last, for texels like no others."""
         count, side = len(self.lobes.mean), self.scale.capture.resolution
         common = torch.cat([self.rare(at).topk(min(LIKELY, count), dim=0, largest=False).indices.byte()
                             for at in torch.arange(side**2).split(STRIP)], dim=1).reshape(-1, side, side)
@@ -132,7 +132,7 @@ class SharedLobes:
     def starts(self, answer: TexelEstimate, turn: int) -> list[Start]:
         """Other starts in a round: neighbours with their lobes, tilts, and other lobes.
 
-        Turns count from 1; in the first the other coarse texels nearby are starts, too.
+        Turns count from 1. In the first turn, the other coarse texels nearby are starts, too.
         """
         usual, wide = self.others[turn % (len(self.others) - 1)], self.others[-1]
         half = answer.x.shape[-1] // COARSE // 2 if turn == 1 else 0
@@ -144,9 +144,9 @@ class SharedLobes:
                 lambda answer, rows: answer.rows(rows)._replace(lobe=wide[rows])]
 
     def further_starts(self, answer: TexelEstimate, texels: Tensor) -> list[TexelEstimate]:
-        """Starts of the texels at some places whose photos refuse their answer.
+        """Starts of the texels at some places, whose photos refuse their answer.
 
-        All neighbours with their lobes, then tilts with all else as it is in the mean: such a texel explains
+        First all neighbours with their lobes, then tilts whose other numbers are means: such a texel explains
         nothing, so none of its numbers is worth keeping.
         """
         side, own, wide = answer.x.shape[-1], answer.of_texels(texels), self.others[-1].take(texels)
@@ -161,12 +161,12 @@ class SharedLobes:
 
     def averaged(self, answer: TexelEstimate, cost: Tensor, rows: slice,
                  scored: Callable[[TexelEstimate], tuple[TexelEstimate, Tensor]]) -> TexelEstimate:
-        """Texels averaged over the lobes that they may have, as likely as these are; shared numbers are held.
+        """Texels averaged over lobes that they may have, weighted by likelihood; shared numbers are held.
 
         Args:
             answer: some rows of texels, with the likeliest lobes.
             cost: -2 log of their likelihoods.
-            rows: which these are.
+            rows: the position of these rows.
             scored: gives such an answer and its costs from a start.
         """
         x, total, had = answer.x, torch.ones_like(cost), [answer.lobe]
@@ -182,7 +182,7 @@ class SharedLobes:
 
 def relief_of(prior: TexelPrior, solver: TexelSolver, photos: Observations,
               answer: TexelEstimate) -> tuple[Relief, Tensor]:
-    """The relief that texels are seen to have, and the squares to expect of their slopes, R x R."""
+    """The relief learned from the texels, and the expected sum of squares of their slopes, R x R."""
     of, side = prior.slopes, answer.x.shape[-1]
     variance = torch.empty(len(of), side, side)
     for rows in tiles(side):

@@ -1,11 +1,11 @@
 """Evidence shared by texels that look alike: a texel's prior is what the others say (empirical Bayes).
 
-A texel whose highlight no photo caught knows nothing of its specular level and roughness; texels of the same
-stuff do. The model is hierarchical: the number of a texel is that of its basis materials plus a deviation of
-its own with standard deviation tau. Each basis material has its own tau: gilt may vary where the wood around
-it does not. The posterior of a texel divided by its prior is what its photos alone say. The means of the
-basis materials are averages of that, weighted by precision. Tau follows by expectation-maximisation (Dempster
-et al. 1977; the division is that of expectation propagation, Minka 2001).
+If no photo caught a texel's highlight, its photos say nothing of specular level and roughness; texels of the
+same material do. The model is hierarchical: the number of a texel is that of its basis materials plus
+a deviation of its own, with standard deviation tau. Each basis material has its own tau: gilt may vary where
+the wood around it does not. The posterior of a texel divided by its prior is what its photos alone say. The
+means of the basis materials are averages of these quotients, weighted by precision. Tau follows by
+expectation-maximisation (Dempster et al. 1977; the division is that of expectation propagation, Minka 2001).
 """
 
 import math
@@ -24,37 +24,37 @@ from ...views import STRIP, geometry, strips
 
 KMEANS_ROUNDS, KMEANS_STARTS = 30, 1
 ROUNDS = 10  # of expectation-maximisation; tau changes by less than 1 % afterwards
-LEAST_SPREAD = 0.01  # of tau; below it the common level moves too little a round
-# a texel's own evidence counts as at most so far from its prior: divisions of small differences know no more
+LEAST_SPREAD = 0.01  # least tau; below it the common level moves too little in a round
+# largest distance of a texel's own evidence from its prior: a quotient of small differences tells no more
 FARTHEST = 0.15
 LEAST_EVIDENCE = 1.0  # precision below which photos say nothing of a number between 0 and 1
 # mean and deviation of a material of which nothing is known
 TYPICAL = {"specular": (DIELECTRIC_F0 ** (1 / 2.2), 0.05)}
 UNKNOWN = 0.0, float("inf")
-COMMON = 20.0  # texels whose worth the common spread counts as in that of each basis material
+COMMON = 20.0  # number of texels that the common spread counts as in the spread of each basis material
 NOBODY = 1e-30
 
 
 def appearance_of(capture: Capture, guess: Tensor) -> Tensor:
     """What a texel looks like whatever the light: M x 5, about 0 to 0.5 each.
 
-    Its apparent albedo (falloff and cosine undone) without its darkest quarter and its brighter half, which
-    hold shadows and highlights: chroma, a quarter of it, and lightness, half of it; and half the lightness of
-    the guess.
+    Chroma / 4 and lightness / 2 of its mean apparent albedo (falloff and cosine undone), and lightness / 2 of
+    the guess. The mean leaves out the darkest and the brightest quarter of the photos, which hold shadows and
+    highlights.
 
     Args:
         capture: N photos with their views.
         guess: guessed diffuse map, R x R x 3.
     """
     side = capture.resolution
-    look = torch.empty(side, side, 5)  # many small parts beside each other would leave gaps when they go
+    look = torch.empty(side, side, 5)  # many small parts would leave gaps in memory when they are freed
     for rows in strips(side):
         look[rows] = _appearance(capture, guess, rows).reshape(-1, side, 5)
     return look.flatten(0, 1)
 
 
 def _appearance(capture: Capture, guess: Tensor, rows: slice) -> Tensor:
-    """Of some rows."""
+    """The appearance of the texels in some rows."""
     _, _, irradiance = geometry(capture.views, capture.resolution, rows)
     linear = color.decode(color.shown(capture.stored[:, rows]), capture.transfer)
     albedo = over(math.pi * linear, irradiance).flatten(1, 2).transpose(0, 1)  # M x N x 3
@@ -86,19 +86,19 @@ def basis_materials(appearance: Tensor, count: int, seed: int) -> Tensor:
 
 
 def membership(appearance: Tensor, basis: Tensor, width: float) -> Tensor:
-    """Share of each basis material in each texel, M x K, rows sum to 1: normal kernels of this deviation.
+    """Share of each basis material in each texel, M x K, rows sum to 1: Gaussian kernels of this ``width``.
 
     Args:
         appearance: of M texels, M x 5.
         basis: of :func:`basis_materials`, K x 5.
-        width: the standard deviation.
+        width: standard deviation of the kernels.
     """
     return torch.cat([F.softmax(-torch.cdist(part, basis).square() / (2 * width**2), dim=1)
                       for part in appearance.split(STRIP)])
 
 
 class Shared(NamedTuple):
-    """``mean`` S x M of each number, deviation ``tau`` S x M from it, and its ``spread`` S over all."""
+    """For each number: ``mean`` S x M, deviation ``tau`` S x M from it, ``spread`` S over all texels."""
 
     mean: Tensor
     tau: Tensor
@@ -117,10 +117,10 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
         prior_precision: the same.
         members: gives M x K, of :func:`membership`, in parts of :data:`STRIP` texels.
         spread: S, tau over all so far.
-        photos: how many follow the model; 0: :data:`TYPICAL` does not count. It decides where photos leave a
-            whole material open, as they do a broad lobe that looks like a diffuse one. It counts once for a
-            basis material, and beside it its texels as many as there are photos: those that the same photos
-            light err alike. Where photos do not follow the model it would weigh more than their highlights.
+        photos: their number if they follow the model; 0: :data:`TYPICAL` does not count. It decides where the
+            photos leave a whole material open, such as a broad lobe that looks diffuse. It counts once for a
+            basis material, whose texels together count as many as there are photos: texels that the same
+            photos light err alike. With photos that do not follow the model, it would outweigh highlights.
     """
     def alone() -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         """In parts: membership, precision of the photos alone, and what they say."""
@@ -145,7 +145,7 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
         for member, precision, told in alone():
             weight = 1 / (1 / precision + tau2(member))
             weighted, weights = weighted + (weight * told) @ member, weights + weight @ member
-        # A basis material of which no texel is any has weight 0, here and in the mean.
+        # A basis material that is in no texel has weight 0, here and in the mean.
         basis = (weighted + vague * usual) / (weights + vague).clamp_min(NOBODY)
         for member, precision, told in alone():
             mean, before = basis @ member.T, tau2(member)

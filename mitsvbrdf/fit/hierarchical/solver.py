@@ -4,7 +4,7 @@ A rectified photo shows a texel in one pixel, so a fit without ties between texe
 problem a texel: a few unknowns, three values a photo. One thread solves it. Slopes are forward derivatives of
 the plugin; the normal equations stay in registers, and the loop reads nothing but the photos. After Levenberg
 1944, Marquardt 1963 (damping in proportion to the diagonal) and Bertsekas 1982 (an unknown at its bound that
-wants out takes no part in the step of the others).
+would leave its range takes no part in the step of the others).
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ from .unknowns import Unknowns, columns_of, pairs_of
 
 @dataclass(frozen=True)
 class Observations:
-    """The photos and how an error in them counts: the data cost of a texel is sum_vc w rho(e) / noise^2.
+    """The photos, and how their errors count: the data cost of a texel is sum_vc w rho(e) / noise^2.
 
-    e is rendering minus photo in display values; of a clipped photo value (0.995 and above) only a rendering
-    that is too dark counts.
+    e is rendering minus photo in display values. At a clipped photo value (0.995 and above), e counts only if
+    the rendering is too dark.
 
     Args:
         photos: N x R x R x 3, display values, or as a capture keeps them (:func:`mitsvbrdf.color.shown`).
@@ -43,10 +43,10 @@ class Observations:
         transfer: how display values encode light.
         noise: standard deviation of a display value.
         robust: s of the pseudo-Huber rho(e) = 2 s^2 (sqrt(1 + e^2 / s^2) - 1), in display values (Charbonnier
-            et al. 1994); None for e^2. It never stops growing: a highlight that a start misses is an outlier,
-            not to be given up as one.
+            et al. 1994); None for e^2. rho never stops growing: a highlight that a start misses is an
+            outlier, but must not be given up.
         weights: w of each photo's pixels, N x R x R; None for 1.
-        sensor: noise by brightness (:mod:`.sensor_noise`), which w also counts; None: it is the same.
+        sensor: noise by brightness (:mod:`.sensor_noise`), which enters w, too; None: the same everywhere.
         texels: which texels of the material the pixels show, row by row, as many as the pixels; None: all.
         side: texels a side of the material; 0: that of the photos.
     """
@@ -65,7 +65,7 @@ class Observations:
         object.__setattr__(self, "side", self.side or self.photos.shape[2])
 
     def places(self, rows: slice) -> Tensor:
-        """Which texels some rows of the pixels show."""
+        """Places of the texels that some rows of the pixels show."""
         if self.texels is not None:
             return self.texels[rows]
         return torch.arange(rows.start * self.side, rows.stop * self.side).reshape(-1, self.side)
@@ -76,7 +76,7 @@ class Observations:
         return replace(self, photos=self.photos[:, rows], weights=weights, texels=self.places(rows))
 
     def of_texels(self, texels: Tensor) -> Observations:
-        """The pixels of some texels of the whole, a square of places."""
+        """The pixels that show some texels of the material; ``texels`` is a square of places."""
         photos, weights = self.photos.flatten(1, 2)[:, texels], self.weights
         weights = None if weights is None else weights.flatten(1)[:, texels]
         return replace(self, photos=photos, weights=weights, texels=texels)
@@ -123,8 +123,8 @@ class TexelSolver:
 
     The unknowns are those of the maps that are not fixed, in the order of
     :data:`mitsvbrdf.material.maps.CHANNELS`: colours channel by channel as linear^(1/2.2), metallic and
-    roughness as they are, of the normal the slopes n_x / n_z and n_y / n_z. :attr:`unknowns` says how many
-    belong to each map, and where they lie; U is their number.
+    roughness as they are, the normal as slopes n_x / n_z and n_y / n_z. :attr:`unknowns` says how many
+    unknowns belong to each map, and where they lie; U is their number.
 
     Args:
         bsdf: the parameter set.
@@ -181,8 +181,8 @@ class TexelSolver:
               low: Tensor, high: Tensor, iterations: int = 5) -> Solved:
         """Take up to ``iterations`` Levenberg-Marquardt steps in every texel, none that raises its cost.
 
-        The cost is that of the observations and sum_u precision_u (x_u - mean_u)^2, both without a factor
-        1/2. Steps to where it is not finite are refused.
+        The cost is that of the observations plus sum_u precision_u (x_u - mean_u)^2, both without a factor
+        1/2. Steps to a cost that is not finite are refused.
 
         Args:
             observations: the photos.
@@ -201,7 +201,7 @@ class TexelSolver:
     def variances(self, observations: Observations, x: Tensor, precision: Tensor) -> Tensor:
         """The unknowns' variances given the photos: the diagonal of (J^T W J + precision)^-1, U x R x R.
 
-        The prior's precision is above 0 where the photos alone do not determine an unknown.
+        The prior's precision must be above 0 where the photos alone do not determine an unknown.
         """
         return self.posterior(observations, x, precision)[0]
 
@@ -214,8 +214,8 @@ class TexelSolver:
     def normal_equations(self, observations: Observations, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Data cost R x R, J^T W e U x R x R and J^T W J U x U x R x R at x, float32.
 
-        J are the slopes of the errors by the unknowns, W the weights: w / noise^2, 0 where a clipped value
-        says nothing, times 1 / sqrt(1 + e^2 / s^2) if robust.
+        J holds the derivatives of the errors by the unknowns, W the weights: w / noise^2, 0 where a clipped
+        value says nothing, times 1 / sqrt(1 + e^2 / s^2) if robust.
         """
         with using_mitsuba(self.variant):
             (cost,), slope, curve = self._tiled(observations,
@@ -227,9 +227,9 @@ class TexelSolver:
 
     def _tiled(self, observations: Observations, run: Callable[..., Sequence[list]],
                *planes: Tensor) -> list[Tensor]:
-        """Copies of what the kernel makes of planes ? x R x R, each ? x R x R, by :func:`.kernel.tiles`.
+        """Copies of the kernel's results for planes ? x R x R, each ? x R x R, by :func:`.kernel.tiles`.
 
-        The planes may be of some texels alone, those of the observations. No Dr.Jit array outlives the call.
+        The planes may hold only the texels that the observations show. No Dr.Jit array outlives the call.
         """
         (count, side), found = planes[0].shape[1:], list[Tensor]()
         needs, fixed = self._known(observations.views, observations.side)
@@ -283,9 +283,9 @@ class TexelSolver:
 
 
 def apart(values: Sequence[Tensor]) -> list[Tensor]:
-    """The values, none in the memory of another: it is one variable to Dr.Jit.
+    """The values, each in its own memory: to Dr.Jit, values that share memory are one variable.
 
-    A frozen function that once was called with one variable for two would take it for both in later calls.
+    A frozen function once called with one variable for two arguments takes one for both in later calls.
     """
     places = [value.data_ptr() for value in values]
     return [value.clone() if places[k] in places[:k] else value for k, value in enumerate(values)]

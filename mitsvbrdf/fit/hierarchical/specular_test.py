@@ -1,20 +1,19 @@
 """Whether a material is matte and needs no specular lobe, decided by photos that follow the model.
 
-They are explained without a lobe, every texel to the end, and two things are asked.
+The photos are explained without a lobe, until every texel has converged, and two questions are asked.
 
 * Does a lobe explain more than noise? It has four unknowns a texel, three of specular and the roughness, so a
-  fit that has them always leaves less; of noise they take as much as any four would. That is the F-test of
-  nested models (Fisher 1922). A spot that shines would be lost in a sum over all texels: single texels,
-  blocks of 2, 4, 8, ... texels a side and all of them are tested, each so strictly that noise fails any test
-  of a matte material rarely (Bonferroni).
-* Would the photos show even a weak lobe? All texels are given one, the same to all, of each of some
-  roughnesses. It has no unknowns of its own, so likelihoods are compared: with any of these lobes the photos
-  must be the less likely, all together, by as much as makes a mistake rare (Wald 1945), and no block may be
-  the more likely by as much. So a material is not called matte by photos that cannot tell a lobe from the
-  diffuse colour, such as photos of a broad lobe in noise.
+  fit with a lobe always leaves smaller errors; of noise, it explains as much as any four unknowns would. That
+  is the F-test of nested models (Fisher 1922). A shiny spot would be lost in a sum over all texels, so single
+  texels, blocks of 2, 4, 8, ... texels a side and all texels are tested, each so strictly that a matte
+  material rarely fails any test by noise (Bonferroni).
+* Would the photos show even a weak lobe? All texels are given the same weak lobe, at each of several
+  roughnesses. It has no unknowns of its own, so likelihoods are compared: with each of these lobes, the
+  photos together must be less likely by so much that a mistake is rare (Wald 1945), and no block may be more
+  likely by so much. So a material is not called matte by photos that cannot tell a lobe from the diffuse
+  colour, such as photos of a broad lobe in noise.
 
-Each texel's noise is its own: sensor noise of dark texels is larger in display values than that of bright
-ones.
+Each texel has its own noise: in display values, sensor noise is larger in dark texels than in bright ones.
 """
 
 from __future__ import annotations
@@ -43,8 +42,8 @@ from .texel_prior import LEAST_PRECISION, TexelEstimate, TexelPrior
 LOBE = {"roughconductor": ("specular", "roughness")}
 RARE = 0.05  # how often noise alone may decide a test, or all tests of one kind together
 WEAK = 0.01  # specular of a weak lobe, linear: half that of water, the lowest of common dielectrics
-WIDTHS = tuple(k / 10 for k in range(1, 11))  # its roughnesses
-STARTS = (0.15, 0.5, 0.85)  # roughnesses from which the photos are explained with a lobe, beside those found
+WIDTHS = tuple(k / 10 for k in range(1, 11))  # roughnesses of the weak lobe
+STARTS = (0.15, 0.5, 0.85)  # roughnesses from which a fit with a lobe starts, beside those found
 STEPS, ROUNDS = 12, 2  # Levenberg-Marquardt steps, and rounds of half as many from other starts
 
 
@@ -56,7 +55,7 @@ class Search(NamedTuple):
 
     @staticmethod
     def of(scales: Scales) -> Search:
-        """All that is not held."""
+        """A search for all unknowns that are not held fixed."""
         return Search(scales, TexelPrior(scales.of(Stage.ALONE).solver.unknowns, scales.config))
 
 
@@ -83,7 +82,7 @@ def without_lobe(search: Search) -> Search:
 
 
 def _lobe(specular: float, roughness: float, side: int) -> dict[str, Tensor]:
-    """Its maps, the same everywhere."""
+    """The maps of a lobe that is the same everywhere."""
     return {name: torch.full((1,), value).expand(side, side, CHANNELS["roughconductor"][name])
             for name, value in (("specular", specular), ("roughness", roughness))}
 
@@ -95,9 +94,9 @@ def explained_without(
 
     Args:
         answer: of the first stage, with lobes.
-        search: that it was found by.
+        search: the search that found the answer.
         lobeless: of :func:`without_lobe`.
-        noise: standard deviation of what it leaves unexplained, in display values.
+        noise: standard deviation of what the answer leaves unexplained, in display values.
         observations: the photos of a scale.
     """
     x, own = answer.x, torch.empty(0)
@@ -131,9 +130,9 @@ def least_errors(solver: TexelSolver, photos: Observations, prior: TexelPrior, s
         photos: their noise does not matter much.
         prior: of the unknowns.
         starts: to try, U x R x R each.
-        rounds: in which texels try what :func:`~mitsvbrdf.fit.hierarchical.starts.other_starts` gives.
+        rounds: in which texels also try :func:`~mitsvbrdf.fit.hierarchical.starts.other_starts`.
         steps: from each start.
-        turn: of the first of these rounds.
+        turn: number of the first of these rounds.
     """
     x = prior.bounded(starts[0]).contiguous()
     answer = TexelEstimate(x, x, torch.full_like(x, LEAST_PRECISION), torch.zeros(0))
@@ -168,7 +167,7 @@ def blocks(*planes: Tensor) -> Iterator[list[Tensor]]:
 
 
 def needed(left: Tensor, less: Tensor, values: Tensor, few: int, many: int) -> bool:
-    """Whether further unknowns lower a block's squared errors by more than noise explains, or none tells.
+    """Whether further unknowns lower a block's squared errors by more than noise would, or no value can tell.
 
     Args:
         left: squared errors of each texel without them, R x R.
@@ -195,13 +194,13 @@ def needed(left: Tensor, less: Tensor, values: Tensor, few: int, many: int) -> b
 
 def shown_if_weak(scale: Scale, photos: Observations, prior: TexelPrior, x: Tensor, left: Tensor,
                   values: Tensor) -> bool:
-    """Whether a weak lobe is likely, or would not be told.
+    """Whether a weak lobe is likely, or the photos could not tell it.
 
     Args:
         scale: without a lobe.
-        photos: of it.
-        prior: of its unknowns.
-        x: that explain the photos best, U x R x R.
+        photos: of the scale.
+        prior: of the unknowns.
+        x: the unknowns that explain the photos best, U x R x R.
         left: their squared errors, R x R.
         values: how many values of each texel's photos are not clipped.
     """

@@ -26,11 +26,11 @@ class Stage(IntEnum):
     FINE = 3  # full size
 
 
-# At full size of real photos one more round follows a round in which fewer than CALM of the texels moved by
-# MOVED, and other starts end with the round in which they saved less than WORTH of the cost.
+# Real photos at full size: after a round in which a share below CALM of the texels moved by MOVED, one more
+# round follows. After a round in which other starts saved a share below WORTH of the cost, they are not used.
 MOVED, CALM, WORTH = 0.01, 0.05, 1e-3
 ROUNDS = {Stage.ALONE: 12, Stage.MULTI_START: 10, Stage.TOGETHER: 12, Stage.FINE: 6}
-LOBE_ROUNDS, ALIKE = 4, 2  # of FINE, where texels share lobes; in the first of them all pixels count alike
+LOBE_ROUNDS, ALIKE = 4, 2  # of FINE, if texels share lobes; in the first ALIKE of them, pixels count alike
 ALONE_ROUNDS = 14  # of FINE, for exact photos whose texels share no lobes
 # share of the run at which a stage ends at the latest
 DEADLINE = {Stage.ALONE: 0.15, Stage.MULTI_START: 0.4, Stage.TOGETHER: 0.5}
@@ -42,17 +42,17 @@ EXACT = 0.006
 # of a real photo's display values: sensor, alignment, light that is no point, lobes that are no GGX
 NOISE = 0.03
 LEAST_NOISE = 0.004  # of any photo: one step of 8 bits
-UNTOLD = 1.5  # times what a fit with as many unknowns leaves unexplained, there was noise
+UNTOLD = 1.5  # assumed noise, in multiples of the RMSE that a fit with so many unknowns leaves
 # noise starts at NOISE and falls by this factor a round, so that no texel is caught early by a wrong
 # highlight
 EASED = 0.75
 
 
 class Stages:
-    """Where the fit stands: a stage, rounds of it begun, and the noise of the round under way.
+    """Where the fit stands: the stage, the number of its rounds begun, and the noise of the present round.
 
     Exact photos may have a ``multi_start``: their texels are explained at many roughnesses. ``stated`` says
-    whether photos are exact, None that their errors tell.
+    whether the photos are exact; None: their errors decide.
     """
 
     def __init__(self, multi_start: bool, stated: bool | None = None) -> None:
@@ -63,7 +63,7 @@ class Stages:
         self.detail = torch.tensor(NOISE)
         self.sensor = torch.full((3, STEPS), torch.nan)  # brightness, noise as seen last, the least ever seen
         self.hurried = False
-        self.last = ROUNDS[Stage.FINE]  # round of FINE, of real photos
+        self.last = ROUNDS[Stage.FINE]  # last round of FINE, for real photos
         self.others = True  # whether other starts are worth their time
         self.closing = False  # whether only the last steps are left
         self.matte = False  # whether the photos were found to need no specular lobe
@@ -85,10 +85,10 @@ class Stages:
 
     @property
     def by_brightness(self) -> Tensor:
-        """Brightness and noise there: as seen last, and the least ever seen in the last steps of all.
+        """Brightness, and the noise there: as seen last, or in the very last steps the least ever seen.
 
-        Texels that are caught by a wrong highlight leave it while noise is high; in the end, a highlight that
-        is met only half must not count as noisy.
+        Texels caught by a wrong highlight leave it while noise is high. In the end, a highlight that is only
+        half reproduced must not count as noisy.
         """
         return self.sensor[[0, 2 if self.closing else 1]]
 

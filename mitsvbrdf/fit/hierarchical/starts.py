@@ -10,9 +10,9 @@ from torch import Tensor
 from .solver import Observations, Solved, TexelSolver
 from .texel_prior import LEAST_PRECISION, TexelEstimate, TexelPrior
 
-DAMPING = 0.01  # that Levenberg-Marquardt starts with
+DAMPING = 0.01  # first damping of Levenberg-Marquardt
 LESS = 1e-3  # share of its cost that a texel must save to take another start
-# slopes tried as starts, and the turn from one to the next
+# slopes tried as starts, and the angle by which their direction turns from one to the next
 TILTS, GOLDEN = (0.15, 0.4, 0.8), math.pi * (3 - math.sqrt(5))
 
 
@@ -25,16 +25,16 @@ def stepped(solver: TexelSolver, observations: Observations, answer: TexelEstima
 
 
 def variances(solver: TexelSolver, observations: Observations, answer: TexelEstimate) -> Tensor:
-    """Of the unknowns, given photos and prior, U x R x R."""
+    """Variances of the unknowns, given photos and prior, U x R x R."""
     return solver.variances(observations, answer.x, (answer.once() + LEAST_PRECISION).expand_as(answer.x))
 
 
-# gives the start of some rows of texels, all of which are known
+# gives the start of some rows of texels; the first argument holds all texels
 Start = Callable[[TexelEstimate, slice], TexelEstimate]
 
 
 def other_starts(prior: TexelPrior, turn: int) -> list[Start]:
-    """Starts from two neighbours and two tilts; others in each turn."""
+    """Starts from two neighbours and two tilts, which change with ``turn``."""
     by = 1 if turn % 2 else -1
     starts: list[Start] = [partial(TexelEstimate.rows, down=by), partial(TexelEstimate.rows, right=by)]
     if len(prior.slopes):
@@ -49,7 +49,7 @@ def _tilted(answer: TexelEstimate, rows: slice, prior: TexelPrior, steep: float,
 
 
 def tilted(answer: TexelEstimate, prior: TexelPrior, steep: float, along: float) -> TexelEstimate:
-    """Texels that have this slope, towards an angle, and the shared numbers of their prior."""
+    """Texels of slope ``steep`` towards the angle ``along``, with the shared numbers of their prior."""
     x = answer.x.clone()
     x[prior.shared] = prior.whole(answer).mean[prior.shared]
     x[prior.slopes] = torch.tensor([steep * math.cos(along), steep * math.sin(along)])[:, None, None]

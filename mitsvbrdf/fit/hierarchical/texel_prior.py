@@ -20,8 +20,8 @@ SHARED = ("specular", "metallic", "roughness")
 BOUNDS = {"roughness": ROUGHNESS_RANGE, "normal": (-3.0, 3.0), "specular": (0.05, 1.0)}  # else 0 to 1
 # Standard deviations of the first prior; that of the diffuse map stays.
 VAGUE = {"diffuse": 0.5, "base_color": 0.5, "specular": 0.1, "metallic": 0.3, "roughness": 0.1, "normal": 0.1}
-KEPT = 2**20  # texels up to which it is kept how alike they look
-LEAST_PRECISION = 1e-3  # added to that of the prior where variances are asked for
+KEPT = 2**20  # largest number of texels whose shares of basis materials are kept in memory
+LEAST_PRECISION = 1e-3  # added to the precision of the prior where variances are asked for
 FIXED = 1e-4  # standard deviation of a number that is not to move
 # How far a texel may leave its tied answer at full size, in units of config.detail_spread: standard
 # deviations at first and at least.
@@ -30,12 +30,12 @@ FREEST = 2.5  # the same, at most
 
 
 class TexelEstimate(NamedTuple):
-    """The texels as they are found, and the prior that they are found with.
+    """The present estimate of the texels, and the prior that led to it.
 
     Args:
         x: the unknowns, U x R x R.
-        mean: of the prior, U x R x R; with lobes, which coarse texel's diffuse one it is, 1 x R x R, 16 bits.
-        precision: of the prior, U x R x R; of texels that have lobes, of slopes alone, 1 x R x R.
+        mean: of the prior, U x R x R; with lobes, the coarse texel with its diffuse mean, 1 x R x R, 16 bits.
+        precision: of the prior, U x R x R; with lobes, the precision of slopes alone, 1 x R x R.
         spread: standard deviation of the shared unknowns around those of look-alikes, S.
         lobe: which of the shared lobes texels have, 8 bits, R x R; empty where they have none.
     """
@@ -48,18 +48,18 @@ class TexelEstimate(NamedTuple):
 
     @property
     def _changed(self) -> tuple[str, ...]:
-        """What differs from texel to texel: the prior, too, where that goes with its lobe."""
+        """Names of the planes that are chosen texel by texel; with lobes also the planes of the prior."""
         return ("x", "mean", "precision", "lobe") if len(self.lobe) else ("x",)
 
     def where(self, better: Tensor, other: TexelEstimate) -> TexelEstimate:
-        """This estimate, but another one in some texels, R x R."""
+        """This estimate, with the texels of ``other`` where ``better``, R x R."""
         return self._replace(**{name: torch.where(better, getattr(other, name), getattr(self, name))
                                 for name in self._changed})
 
     def rows(self, rows: slice, down: int = 0, right: int = 0) -> TexelEstimate:
-        """Some rows of texels, or each as the neighbour is that lies so far above and to the left.
+        """Some rows of texels, each replaced by its neighbour ``down`` above and ``right`` to the left.
 
-        Its prior, too, where that goes with its lobe.
+        With lobes, the neighbour's prior is taken, too.
         """
         at = (torch.arange(rows.start, rows.stop) - down) % self.x.shape[1]
 
@@ -76,7 +76,7 @@ class TexelEstimate(NamedTuple):
         return self.precision[:, :1, :1] if self.precision.stride(-1) == 0 else self.precision
 
     def put(self, rows: slice, part: TexelEstimate) -> None:
-        """Write texels of some rows, and their prior where it goes with their lobe, into these planes."""
+        """Write texels of some rows, with lobes also their prior, into these planes."""
         for name in self._changed:
             getattr(self, name)[..., rows, :] = getattr(part, name)
 
@@ -92,7 +92,7 @@ class TexelEstimate(NamedTuple):
             planes[..., texels // planes.shape[-1], texels % planes.shape[-1]] = getattr(part, name)
 
     def copy(self) -> TexelEstimate:
-        """The same texels, for :meth:`put`."""
+        """The same texels, in planes that :meth:`put` may write into."""
         return self._replace(**{name: getattr(self, name).clone() for name in self._changed})
 
 
@@ -120,7 +120,7 @@ class TexelPrior:
         return other
 
     def bounded(self, values: Tensor, of: Tensor | slice = slice(None)) -> Tensor:  # noqa: B008
-        """Values of some unknowns, of all if left out, brought into their bounds."""
+        """Values of some unknowns (default: all), clamped to their bounds."""
         return values.clamp(self.low[of, None, None], self.high[of, None, None])
 
     def _precision(self, x: Tensor, deviation: Callable[[str], float]) -> Tensor:
@@ -135,7 +135,7 @@ class TexelPrior:
         return TexelEstimate(x, x.clone(), self._precision(x, VAGUE.__getitem__), spread)
 
     def whole(self, answer: TexelEstimate) -> TexelEstimate:
-        """Texels with the prior of all numbers: of those that have lobes, few planes are kept."""
+        """Texels with the prior of all numbers; with lobes, only few planes of the prior are stored."""
         if not len(answer.lobe):
             return answer
         x, of, lobe, (means, precisions, diffuse) = answer.x, self.shared, answer.lobe.long(), self.lobes
@@ -146,15 +146,15 @@ class TexelPrior:
 
     def share(self, answer: TexelEstimate, variance: Tensor, scale: Scale, photos: int, tied: bool,
               corrected: Callable[[Tensor], Tensor] = Tensor.contiguous) -> TexelEstimate:
-        """Look-alikes set the prior of specular and roughness; the relief seen sets that of normals.
+        """Look-alikes set the prior of specular and roughness; the present relief sets that of normals.
 
         Args:
             answer: with the prior so far.
             variance: of the unknowns, given photos and prior, U x R x R.
             scale: of the texels.
             photos: their number.
-            tied: whether they are those of a phone.
-            corrected: what is made of the shared unknowns' means, S x R x R.
+            tied: whether the photos are those of a phone.
+            corrected: corrects the means of the shared unknowns, S x R x R.
         """
         spread, found = answer.spread, None
         if len(self.shared):
@@ -179,7 +179,7 @@ class TexelPrior:
     def enlarge(self, answer: TexelEstimate, coarse: Scale, fine: Scale, tied: bool) -> TexelEstimate:
         """An estimate at full size, where tied texels are set free.
 
-        Shared unknowns of these follow look-alikes (joint upsampling, Kopf 2007).
+        Shared unknowns of tied texels follow look-alikes (joint upsampling, Kopf 2007).
         """
         side = fine.capture.resolution
         if side == coarse.capture.resolution and fine.capture is coarse.capture:
@@ -200,12 +200,12 @@ class TexelPrior:
         return self.free(answer._replace(x=x))
 
     def free(self, answer: TexelEstimate) -> TexelEstimate:
-        """Let every texel leave its tied answer, which becomes its prior; the diffuse map as it likes."""
+        """Let every texel leave its tied answer, which becomes its prior; the diffuse map is hardly held."""
         return answer._replace(mean=answer.x,
                                precision=self._precision(answer.x, lambda name: self._freedom(name)[0]))
 
     def loosen(self, answer: TexelEstimate, variance: Tensor) -> TexelEstimate:
-        """Set the spread around the tied estimate to the one seen (expectation-maximisation)."""
+        """Set the spread around the tied estimate to the present one (expectation-maximisation)."""
         each = answer.precision[:, 0, 0].clone()
         for name in sorted(set(self.unknowns.shapes) & set(FREEDOM)):
             of = self.unknowns.slices[name]

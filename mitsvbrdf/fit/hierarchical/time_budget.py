@@ -1,8 +1,8 @@
 """The time budget: a step begins only where the steps so far say that it ends within the budget.
 
-Work is counted in texels times steps of Levenberg-Marquardt, and what it takes is learned from the run
-itself, so that a slow machine does less and none is told how fast it is. Without a budget everything is
-allowed, and nothing that fits comes out otherwise for being timed.
+Work is counted in texels times steps of Levenberg-Marquardt. The time that it takes is learned from the run
+itself: a slow machine does less work, and nobody has to state its speed. Without a budget everything is
+allowed. Work that ends within the budget has the same results as without one.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from .stages import Stage, Stages
 STEPS, OTHER_STEPS = 6, 4  # Levenberg-Marquardt steps of a round, and of another start
 FAR_STEPS = 10  # of another start where texels have lobes, which hold them tightly
 ROUND_STEPS = STEPS + 4 * OTHER_STEPS  # of a round with all starts
-LAST_STEPS = 8  # and at the end
+LAST_STEPS = 8  # at the end of the fit
 
 Kind = Literal["solver", "views"]
 KINDS: tuple[Kind, ...] = ("solver", "views")
@@ -42,13 +42,13 @@ class TimeBudget:
         self.rates: dict[Kind, float] = {}
 
     def begin(self, progress: float) -> None:
-        """Set the end of the run at its first step, of which this share is over."""
+        """At the first step, set the end of the run; the share ``progress`` of the run is over."""
         if self.budget and math.isinf(self.end):
             self.end = self.clock() + self.budget * (1 - progress)
 
     @contextlib.contextmanager
     def timed(self, kind: Kind, work: float) -> Iterator[None]:
-        """Learn what so much work takes."""
+        """Learn how long ``work`` takes."""
         began = self.clock()
         yield
         if work:
@@ -62,7 +62,7 @@ class TimeBudget:
         return LAST_STEPS if self.stages.tied else 0
 
     def in_time(self, work: float, kind: Kind = "solver", beside: int = 0) -> bool:
-        """Whether work can end in time, with what must follow.
+        """Whether work, and the steps that must follow it, can end in time.
 
         Args:
             work: texels times steps of the solver, or times renderings from all views. Of a kind that was not
@@ -75,7 +75,7 @@ class TimeBudget:
                 + solver * (self.to_come + beside) * self.full)
 
     def steps(self, most: int, keep: int = 0) -> int:
-        """Steps of the solver at full size that end in time, at most ``most``, some kept; at least one."""
+        """Solver steps at full size that end in time, less ``keep`` for later work; from 1 to ``most``."""
         seconds = self.rates.get("solver", 0.0) * self.full
         return max(1, int(min(most, (self.end - self.clock()) / seconds - keep))) if seconds else most
 

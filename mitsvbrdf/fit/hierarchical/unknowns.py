@@ -1,4 +1,4 @@
-"""The unknowns of a texel by map, and the slopes that a solver takes of them."""
+"""The unknowns of a texel by map, and the derivatives by them that a solver computes."""
 
 from typing import NamedTuple
 
@@ -22,9 +22,9 @@ class Unknowns(Layout):
 
 
 class Column(NamedTuple):
-    """A slope: of a map, along one of a normal's two axes, and its unknown for red, green and blue.
+    """A derivative by a map (normal: along one of two axes), and its unknowns for red, green and blue.
 
-    A channel of the radiance knows its own channel of a colour alone, so one forward pass serves all three.
+    A channel of the radiance depends on this channel of a colour alone, so one forward pass serves all.
     """
 
     name: str
@@ -33,7 +33,7 @@ class Column(NamedTuple):
 
 
 def columns_of(unknowns: Unknowns) -> list[Column]:
-    """The slopes that are taken."""
+    """The derivatives that are computed."""
     columns = []
     for name, of in unknowns.slices.items():
         places = tuple(range(of.start, of.stop))

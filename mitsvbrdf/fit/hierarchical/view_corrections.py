@@ -1,4 +1,4 @@
-"""By how much camera and flash stood elsewhere than stated."""
+"""How far camera and flash stood from where the views say."""
 
 from dataclasses import replace
 
@@ -13,15 +13,15 @@ from ...views import Views
 from ..task import Refined
 from .stages import Stage
 
-# Rounds of a stage after which the flash moves to level the patch, and by how much of what that asks for.
+# Rounds of a stage after which the flash moves to level the patch, and the share of that move that is made.
 LEVELLED, DAMPED = {Stage.ALONE: (5, 7, 9)}, 0.65
 # rounds after which the views are refined; of FINE the last but one
 REFINED = {Stage.ALONE: (12,), Stage.TOGETHER: (3, 5, 7, 9)}
 TILTED = 0.03  # patch sides by which the flash seems moved where the patch is not level
-# How far stated ones of these are off is learned from the photos (empirical Bayes).
+# Unknowns of stated views whose usual error is learned from the photos (empirical Bayes).
 LEARNED = [UNKNOWNS.index("camera_z"), UNKNOWNS.index("log_exposure")]
-WIDEST = 10.0  # times as far as such a calibration usually is off
-FEW_STEPS = 10  # of refining views that were not stated: they move far, and will again after the next rounds
+WIDEST = 10.0  # largest learned error, in multiples of the usual error of such a calibration
+FEW_STEPS = 10  # of refining views that were not stated: they move far, and again after the next rounds
 
 
 class ViewCorrections:
@@ -48,7 +48,7 @@ class ViewCorrections:
 
     @property
     def priors(self) -> Priors:
-        """How far the views may be off, by what the photos have shown of it."""
+        """How far the views may be off, as far as the photos have told it."""
         height, exposure = self.off.tolist()
         return replace(self.usual, camera=(*self.usual.camera[:2], height), exposure=exposure)
 
@@ -57,7 +57,7 @@ class ViewCorrections:
         return moved(views, self.change)
 
     def may_move(self, tied: bool) -> bool:
-        """Whether the views are refined now, with photos that are known to be a phone's or not."""
+        """Whether the views are refined now; ``tied``: the photos are known to be a phone's."""
         return self.refined == "always" or self.refined == "unless exact" and tied
 
     def begun(self, in_time: bool) -> bool:
@@ -66,7 +66,7 @@ class ViewCorrections:
         return in_time
 
     def leave(self, stage: Stage, rounds: int, tied: bool) -> None:
-        """Remember whether a stage ends after so many rounds before all its refinements."""
+        """Remember whether a stage that ends after ``rounds`` rounds has missed some of its refinements."""
         self.begun(not self.may_move(tied) or rounds >= max(REFINED.get(stage, (0,))))
 
     @property
@@ -79,16 +79,16 @@ class ViewCorrections:
         return self._steps * 2 * CHANGE.size
 
     def level(self, slope: Tensor) -> None:
-        """Move the flash of all photos until the patch as a whole is flat.
+        """Move the flash of all photos so that the patch as a whole becomes flat.
 
-        Normals that lean by a slope s show their highlights s z beside the place below the camera, as a flash
-        2 s z beside it does. A refinement with the maps frozen cannot find that: what their diffuse map has
-        taken up holds the flash.
+        Normals of slope s show their highlights s z beside the place below the camera, as flat normals do
+        with a flash 2 s z beside the camera. A refinement with frozen maps cannot find such an offset: their
+        diffuse map has adapted to the flash, and holds it.
 
         Args:
             slope: mean slopes of the normals, two float64 numbers.
         """
-        flash = self.change[:, CHANGE["flash"]][:, :2]  # x and y; a view
+        flash = self.change[:, CHANGE["flash"]][:, :2]  # x and y; it shares the memory of ``change``
         common = flash[0]
         said = common - 2 * self.stated.in_patch_sides().camera[:, 2].mean() * slope
         variance = torch.tensor(self.usual.common_flash).double().square()
