@@ -1,4 +1,4 @@
-"""What is asked for of each capture, the identity of its result, and what is left to do of it all."""
+"""What is asked of each capture, the identity of its result, and the work that is left."""
 
 import hashlib
 import json
@@ -26,8 +26,8 @@ from .records import Material
 from .stores import Store, is_url
 
 CALIBRATION_FILES = ("capture.json", "camera_pos.txt", "image_size.txt", "light_power.txt", "light_pos.txt")
-PATIENCE = 3600.0  # seconds beside the budget, for a large capture on a machine ten times slower than ours
-BUDGETS = 3.0  # a fit looks at the clock between steps, and the last of them may be long
+PATIENCE = 3600.0  # seconds on top of the budget: for a large capture on a machine ten times slower than ours
+BUDGETS = 3.0  # budgets allowed: a fit looks at the clock only between steps, and the last step may be long
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Asked:
 
     entry: Entry  # the capture
     config: FitConfig  # method and settings
-    options: FitOptions  # the others
+    options: FitOptions  # all other options of the fit
     pages: bool  # whether its page and pictures are written
     tags: tuple[str, ...]  # words to find it by
     sheet: float | None = None  # size in cm of the printed sheet in raw photos; None where there is none
@@ -44,9 +44,9 @@ class Asked:
 
     @property
     def record(self) -> dict:
-        """What a worker is told, and what the identity is made of.
+        """What a worker is told. The identity covers it, too.
 
-        A sheet belongs to raw photos alone: nobody looks for one in a calibrated capture.
+        Only raw photos have a sheet: nobody looks for one in a calibrated capture.
         """
         sheet = None if self.sheet is None or is_calibrated(self.entry.source) else self.sheet
         return {"config": config_record(self.config), "options": asdict(self.options), "pages": self.pages,
@@ -78,7 +78,7 @@ class Asked:
 
     @property
     def cost(self) -> float:
-        """A guess of its seconds, to begin with the largest: the default fit takes 4 s a photo of 256 px."""
+        """Guessed seconds of a fit: the longest starts first. The default fit takes 4 s a photo of 256 px."""
         budget, photos = self.config.limited(self.options.resolution).budget or PATIENCE, 9
         if not isinstance(self.config, HierarchicalConfig):
             return budget
@@ -88,7 +88,7 @@ class Asked:
 
     @property
     def limit(self) -> float | None:
-        """Seconds after which it counts as hanging; None for a fit that ends after iterations."""
+        """Seconds after which the fit counts as hanging; None if only iterations limit it."""
         budget = self.config.limited(self.options.resolution).budget
         return None if budget is None else PATIENCE + BUDGETS * budget
 
@@ -121,9 +121,9 @@ class Stock:
 
 def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
                report: Report = lambda text, share: None) -> Stock:
-    """Compare what is asked for with the folders of a library, which is this process's own and learns of it.
+    """Compare what is asked for with the folders of a library that this process holds; update the library.
 
-    The same capture with the same options twice counts once.
+    A capture that is named twice with the same options counts once.
     """
     stock, results, known, wanted = Stock(), library.results, library.materials, dict[str, Material]()
     for material in _materials(list(asked), report):
@@ -142,7 +142,7 @@ def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
             wrong = results.damage(there, hashes=False) if there else "its record is missing"
             if there and not wrong:
                 stock.done += 1
-                # it says what is said of its capture now, and is the newest of it
+                # it gets the present source and tags of its capture, and becomes the newest
                 if (there.source, there.tags) != (material.source, material.tags) or folder not in shown:
                     there = there.but(source=material.source, tags=material.tags, date=now())
                     results.restate(there)

@@ -23,13 +23,13 @@ class Entry(NamedTuple):
     """A capture to fit."""
 
     source: str  # its absolute path, or its URL
-    own: tuple[str, ...] = ()  # options that its line in a list gives, in words
-    where: str = ""  # the list and its line, for errors; empty for what the command line names
+    own: tuple[str, ...] = ()  # options on its line of a list, split into words
+    where: str = ""  # list and line, for errors; empty for a name on the command line
 
 
 @contextlib.contextmanager
 def told_with(where: str) -> Iterator[None]:
-    """Inside, an error that does not name this place gets it."""
+    """Inside the block, add this place to each error that does not name it."""
     try:
         yield
     except MitsvbrdfError as error:
@@ -39,13 +39,13 @@ def told_with(where: str) -> Iterator[None]:
 
 
 def captures(names: Sequence[str]) -> list[Entry]:
-    """The captures that names stand for, in their order.
+    """The captures that names stand for, in the order of the names.
 
-    Each is a capture (a folder, its JSON file, or a URL), a folder of captures, or a list: a text file with
-    one of these a line, options behind it, ``#`` before a remark. A library among captures is passed over.
+    A name is a capture (a folder, its JSON file, or a URL), a folder of captures, or a list: a text file that
+    has one of these on each line, then options. ``#`` begins a remark. A library among captures is skipped.
 
     Raises:
-        CaptureError: a name stands for nothing, or all of them for no capture.
+        CaptureError: a name stands for nothing, or there is no capture at all.
     """
     found = [entry for name in names for entry in _expanded(name)]
     if not found:
@@ -76,7 +76,7 @@ def is_calibrated(source: str) -> bool:
 
 @contextlib.contextmanager
 def local_capture(source: str) -> Iterator[Path]:
-    """A capture as a folder on this machine; the copy of one behind a URL lasts as long as the block."""
+    """A capture as a local folder. A capture behind a URL is copied; the copy lasts as long as the block."""
     if not is_url(source):
         yield Path(source)
         return
@@ -87,9 +87,9 @@ def local_capture(source: str) -> Iterator[Path]:
 
 
 def rectified(folder: Path, out: Path, sheet: float | None, transfer: Transfer | None) -> Path:
-    """The capture to fit: raw photos become one in ``out``, with its page; any other stays as it is.
+    """The capture to fit. Raw photos become a capture in ``out``, with its page; any other stays as it is.
 
-    A transfer of None is what the photos say. CaptureError: the raw photos make no capture.
+    A transfer of None: as the photos state. CaptureError: the raw photos cannot become a capture.
     """
     from ..capture import write_capture
     from ..capture.align.from_sheet import refuse_tags
@@ -130,7 +130,7 @@ def _expanded(name: str, own: tuple[str, ...] = (), where: str = "") -> Iterator
 
 
 def _captures_in(folder: Path) -> list[Path]:
-    """The folder itself where it is a capture, else the captures right inside it; none of a library."""
+    """The folder itself if it is a capture, else the captures directly inside it. A library has none."""
     if (folder / TOKEN).is_file():
         return []
     if found := _capture_at(folder):
@@ -144,7 +144,7 @@ def _captures_in(folder: Path) -> list[Path]:
 
 
 def _capture_at(folder: Path) -> Path | None:
-    """The folder where it is a capture, or the JSON file in it that states one."""
+    """The folder if it is a capture, else the JSON file in it that describes a capture, else None."""
     from ..capture.calibrated import stated_in
 
     try:

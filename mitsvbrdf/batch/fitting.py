@@ -43,10 +43,10 @@ QUALITY = 85
 def fit_task(task: dict) -> Iterator[dict]:
     """Fit one capture; a task of Ray.
 
-    First comes who fits (``host``, ``version``, ``token`` of the library as seen here), once the worker is
-    warm; then what came of it: ``state`` (done, failed, or full where no space is left), ``reason``, and
-    ``log``, the tail of what the fit printed. A worker that sees another library, or has another version,
-    does not fit. The task is what :meth:`.run.Batch._hand_out` tells.
+    Once the worker is warm, it yields who fits: ``host``, ``version``, and ``token`` of the library as seen
+    here. Then it yields the outcome: ``state`` (done, failed, or full if no space is left), ``reason``, and
+    ``log``, the tail of the output of the fit. A worker that sees another library, or has another version,
+    does not fit. :meth:`.run.Batch._hand_out` makes the task.
     """
     results = ResultStore(task["library"])
     _warm(task["threads"])
@@ -67,7 +67,7 @@ def fit_task(task: dict) -> Iterator[dict]:
 
 
 def _outcome(results: ResultStore, material: Material, attempt: str) -> dict:
-    """Fit into the library; what the fit raises is told."""
+    """Fit into the library; return how it ended, and the error if there was one."""
     started = time.perf_counter()
     try:
         with contextlib.suppress(OSError):  # paths in the options start there
@@ -88,7 +88,7 @@ def _outcome(results: ResultStore, material: Material, attempt: str) -> dict:
 
 
 def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
-    """Fit a capture as asked (``Asked.record``) and write the result, pages and preview; its row."""
+    """Fit a capture as asked (``Asked.record``) and write the result, pages and preview; return its row."""
     from ..capture import read_capture
     from ..fit import fit_svbrdf
     from ..fit.generator.detail import with_detail
@@ -112,7 +112,7 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
 
 
 def _row(folder: Path) -> Row:
-    """What the list of materials says of a fit; the error of held-out photos stands on its page alone."""
+    """The row of a fit in the list of materials. Only report.json of a fit has the held-out error."""
     from ..fit.record import record_in
     from ..io.json import load
 
@@ -147,12 +147,12 @@ def now() -> str:
 
 @cache
 def _warm(threads: int) -> None:
-    """Load what every fit needs, and use so many threads; once a worker."""
+    """Load what every fit needs, and set the number of threads; once in each worker."""
     import drjit
     import torch
 
     _renderer("mitsuba", "llvm_ad_rgb")
-    # A fit that hears a signal ends early, and half a fit would count
+    # A fit that catches a signal ends early, and half a fit would count as done
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     torch.set_num_threads(threads)
     drjit.set_thread_count(threads)
@@ -167,7 +167,7 @@ def _renderer(name: str, variant: str) -> Renderer:
 
 @contextlib.contextmanager
 def _printed(results: ResultStore, attempt: str) -> Iterator[Path]:
-    """Inside, all that this process prints goes to a file, which outlives its death in a folder; its path."""
+    """Inside the block, write all output to a file (its path); in a library folder it survives a crash."""
     with tempfile.TemporaryDirectory(prefix="mitsvbrdf-log-") as folder:
         path = log_path(results, attempt) or Path(folder) / "log"
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -188,13 +188,13 @@ def _printed(results: ResultStore, attempt: str) -> Iterator[Path]:
 
 
 def log_path(results: ResultStore, attempt: str) -> Path | None:
-    """Where an attempt prints; None where the library is no folder, and what a dying worker says is lost."""
+    """The log file of an attempt. None if the library is no folder: the output of a dying worker is lost."""
     return Path(results.store.path(f"{WORK}/{attempt}.log")) if results.store.folder else None
 
 
 @contextlib.contextmanager
 def _memory_limit(gib: float | None) -> Iterator[None]:
-    """Inside, this process ends itself once it holds more than so much."""
+    """Inside the block, this process kills itself once it holds more memory than this."""
     done = threading.Event()
 
     def watch() -> None:

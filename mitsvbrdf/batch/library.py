@@ -15,7 +15,7 @@ from .results import FAILED, LOG, PAGES, ResultStore
 
 INDEX, DATA, PAGE = PAGES
 STATES = "done", "failed", "running", "pending"
-GLOBAL = "mitsvbrdfLibrary"  # what the data of the page set
+GLOBAL = "mitsvbrdfLibrary"  # the variable that the data script of the page sets
 FILES = {"preview": "preview.jpg", "report": "report.html", "log": LOG}  # what the page shows
 SEARCHED = "name", "tags", "source", "method", "host", "options", "reason"
 SORTS = {"name": "Name", "error": "Error", "held_out_error": "Held-out error", "burn_in": "Burn-in",
@@ -31,29 +31,29 @@ class Library:
         self.running = set[str]()  # folders of what is fitted now
 
     def done(self, result: Material) -> None:
-        """A result lies in the library."""
+        """Note that a result lies in the library."""
         if result.folder in self._failed:
             self.results.forget(result.folder)
         self.materials[result.folder] = result
 
     def failed(self, material: Material, reason: str, log: str = "") -> None:
-        """A material failed; its log is what the fit printed."""
+        """Note that a material failed; ``log`` is the output of the fit."""
         failure = material.but(state="failed", reason=reason, log=bool(log.strip()), date=now())
         self.results.fail(failure, log)
         self.materials[failure.folder] = failure
         self._failed.add(failure.folder)
 
     def shown(self) -> dict[str, Material]:
-        """The materials that no newer one of the same capture and options takes the place of."""
+        """The newest material of each capture and options."""
         newest: dict[tuple[str, str], Material] = {}
-        # what is asked for now is newer than all
+        # a pending material is newer than all others
         for each in sorted(self.materials.values(), key=lambda each: (each.state == "pending", each.date)):
             newest[self.key(each)] = each
         return {each.folder: each for each in newest.values()}
 
     @staticmethod
     def key(material: Material) -> tuple[str, str]:
-        """What materials have in common of which one takes the other's place: capture and options."""
+        """Capture and options. Of materials with the same key, the newest replaces the others."""
         return material.source or material.folder, json.dumps(material.asked, sort_keys=True)
 
     def counts(self) -> Counter[str]:
@@ -61,8 +61,8 @@ class Library:
         return Counter(each.state for each in self.shown().values())
 
     def rows(self, replaced: bool = False) -> list[dict]:
-        """One row a material, as ``library.json`` has it, in the order of their names; or with ``replaced``
-        those that a newer one took the place of.
+        """One row for each material, as in ``library.json``, sorted by name. ``replaced``: give only the
+        materials that a newer one has replaced.
         """
         shown = self.shown()
         found = (each for folder, each in self.materials.items() if (folder not in shown) == replaced)
@@ -83,7 +83,7 @@ class Library:
                 **{name: f"{folder}/{file}" if file in there else None for name, file in FILES.items()}}
 
     def write(self, progress: str = "") -> None:
-        """Write ``library.json``, for pandas and others, and the page; ``progress`` of a batch at work in
+        """Write ``library.json``, for pandas and others, and the page. ``progress``: of a running batch, in
         words.
         """
         write = self.results.store.write
@@ -101,7 +101,7 @@ def library_page(title: str) -> str:
 
 
 def data_script(told: dict) -> str:
-    """The data of the page: one assignment, on its right JSON, ASCII, without a ``<``.
+    """The data of the page: one assignment of JSON to a variable, in ASCII, without a ``<``.
 
     A page that is opened from disk may not read a JSON file, but it may load a script.
     """
@@ -110,7 +110,7 @@ def data_script(told: dict) -> str:
 
 
 def matches(row: dict, text: str, states: Collection[str] = ()) -> bool:
-    """Whether a row has a text in it, capitals or not, and one of these states; none stands for all."""
+    """Whether a row contains a text, in any case, and has one of these states; no states: any state."""
     words = (" ".join(value) if isinstance(value, list) else str(value or "")
              for value in (row[name] for name in SEARCHED))
     found = any(text.casefold() in word.casefold() for word in words)

@@ -6,7 +6,7 @@ from typing import Any
 
 import msgspec
 
-SHORT = 8  # letters of an identity that the name of a folder has
+SHORT = 8  # hex digits of an identity in the name of a folder
 
 
 class File(msgspec.Struct, frozen=True):
@@ -32,7 +32,7 @@ class Material(msgspec.Struct, frozen=True, kw_only=True):
 
     identity: str  # SHA-256 of photos and options, in hex
     name: str  # of the capture
-    state: str = "pending"  # pending, failed or done; the place of a record says it
+    state: str = "pending"  # pending, failed or done; the place of the record decides it
     source: str = ""  # its path or URL
     asked: dict[str, Any] = {}  # method, settings and options
     words: str = ""  # the options that are not the defaults
@@ -40,7 +40,7 @@ class Material(msgspec.Struct, frozen=True, kw_only=True):
     date: str = ""  # when it was asked for, or its fit ended; UTC
     attempts: int = 0  # how often a fit began
     base: str = ""  # the folder where paths in its options start
-    cost: float = 0.0  # seconds that its fit takes, at a guess
+    cost: float = 0.0  # guessed seconds of its fit
     limit: float | None = None  # seconds after which its fit counts as hanging; None is no limit
     reason: str = ""  # why it failed
     log: bool = False  # whether the output of a fit that failed is kept
@@ -54,5 +54,5 @@ class Material(msgspec.Struct, frozen=True, kw_only=True):
         return f"{self.name}-{self.identity[:SHORT]}"
 
     def but(self, **changes: Any) -> Material:
-        """Itself with changes."""
+        """A copy with changes."""
         return msgspec.structs.replace(self, **changes)

@@ -1,8 +1,8 @@
 """The library of a batch: a folder, or an object store, in which each result appears whole or not at all.
 
 A result is one folder, NAME-1a2b3c4d, named by its capture and the beginning of its identity. It is made
-elsewhere and appears by one rename, in a store by its record, which is written last. ``failed/``
-holds why a capture has none.
+elsewhere. In a folder one rename publishes it, in an object store its record does, which is written last.
+``failed/`` holds the reason why a capture has no result.
 """
 
 import contextlib
@@ -26,12 +26,12 @@ from .captures import TOKEN, is_capture
 from .records import SHORT, File, Material
 from .stores import Store, is_url
 
-RECORD = "batch.json"  # of a result: which capture and options it is of, and what its files hold
+RECORD = "batch.json"  # of a result: its capture and options, size and hash of its files
 REASON, LOG = "reason.json", "log.txt"  # of a failed capture
 FAILED = "failed"
 PAGES = "library.json", "library.js", "index.html"
-LOCK, WORK = ".lock", ".work"  # what holds a library, and what is being made
-MARK = ".begun"  # in a folder of :meth:`ResultStore.building` for as long as it is the one that was made
+LOCK, WORK = ".lock", ".work"  # the lock of a library, and the folder of unfinished results
+MARK = ".begun"  # in a folder of :meth:`ResultStore.building`, until the folder is published or taken away
 RESULT = re.compile(rf".+-[0-9a-f]{{{SHORT}}}")
 NO_SPACE = errno.ENOSPC, errno.EDQUOT
 
@@ -51,18 +51,18 @@ class ResultStore:
         return sorted(name for name in self.store.listed()[1] if RESULT.fullmatch(name) and is_entry(name))
 
     def result(self, folder: str) -> Material | None:
-        """The record of a result; None where there is none, or not a whole one."""
+        """The record of a result; None if there is no record, or it is incomplete."""
         found = self._read(f"{folder}/{RECORD}", folder, "done")
         return found if found and found.files and all(map(stays_inside, found.files)) else None
 
     def materials(self) -> dict[str, Material]:
-        """All that is recorded, by the name of its folder. A result comes before what else is said of it."""
+        """All records, by the name of the folder. If it has a result and a failure, the result counts."""
         folders = self.store.listed(FAILED)[1]
         failed = (self._read(f"{FAILED}/{name}/{REASON}", name, "failed") for name in folders)
         return {each.folder: each for each in (*failed, *map(self.result, self.names())) if each}
 
     def damage(self, result: Material, hashes: bool) -> str:
-        """What is wrong with a result's files (with ``hashes`` also inside); empty where nothing is."""
+        """What is wrong with the files of a result (``hashes``: also with their content); empty: nothing."""
         there = self.store.objects(result.folder)
         for name, stated in result.files.items():
             if name not in there:
@@ -86,12 +86,12 @@ class ResultStore:
         self.store.remove(f"{FAILED}/{folder}")
 
     def restate(self, result: Material) -> None:
-        """Say something else of a result that lies there: its tags, where its capture lies, its date."""
+        """Write the record of an existing result again, with other tags, another source or another date."""
         self._write(f"{result.folder}/{RECORD}", result)
 
     @contextlib.contextmanager
     def building(self, attempt: str) -> Iterator[Path]:
-        """An empty folder of this machine to make a result in; what is left in it after the block is lost."""
+        """An empty local folder to make a result in. After the block, what is left in the folder is lost."""
         if self.store.folder is None:
             with tempfile.TemporaryDirectory(prefix="mitsvbrdf-") as name:
                 yield Path(name)
@@ -105,11 +105,11 @@ class ResultStore:
             shutil.rmtree(folder, ignore_errors=True)
 
     def publish(self, made: Path, result: Material) -> bool:
-        """Let a result, made in a folder of :meth:`building`, appear under its name; False, and nothing
-        changes, where a whole one is there.
+        """Publish a result made in a folder of :meth:`building` under its name. If a whole result of that
+        name exists, nothing changes, and the answer is False.
 
-        In a folder one rename does it, after all files are on the disk. In a store the record is put last,
-        without which the rest counts for nothing. OutputError: a newer batch took the folder away meanwhile.
+        In a folder one rename publishes it, after all files are on the disk. In a store the record is written
+        last: without it the other files do not count. OutputError: a newer batch has taken the folder away.
         """
         if self.result(result.folder) is not None:
             return False
@@ -136,9 +136,9 @@ class ResultStore:
                 return False
             if reason.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
                 raise
-            self.set_aside(result.folder)  # what is no result has its name
+            self.set_aside(result.folder)  # something that is no result has its name
             os.rename(made, target)
-        with contextlib.suppress(OSError):  # it is there; some file systems cannot do this to a folder
+        with contextlib.suppress(OSError):  # the result is there; some file systems cannot sync a folder
             to_disk(self.store.folder)
         return True
 
@@ -148,9 +148,9 @@ class ResultStore:
             self.store.move(folder, f"{folder}.damaged.{secrets.token_hex(4)}")
 
     def clear_work(self) -> None:
-        """Take away all that is being made, and empty folders.
+        """Remove all unfinished results, and ``failed/`` if it is empty.
 
-        It is renamed first, so that a worker that outlived its batch has nothing to publish.
+        The folder is renamed first, so that a worker that outlived its batch has nothing to publish.
         """
         if self.store.folder is None:
             return
@@ -165,10 +165,10 @@ class ResultStore:
 
     @contextlib.contextmanager
     def claimed(self) -> Iterator[str]:
-        """Hold the library for this process alone; gives the token that all nodes must see in it.
+        """Lock the library for this process; yield the token that all nodes must see in the library.
 
-        Nothing holds a library in an object store. OutputError: another batch has it, the folder is no
-        library, or it cannot be written.
+        A library in an object store has no lock. OutputError: another batch has locked the library, the
+        folder is no library, or it cannot be written.
         """
         try:
             with contextlib.ExitStack() as held:
@@ -187,11 +187,11 @@ class ResultStore:
                               "make the bucket, check your rights, or choose another place") from None
 
     def is_library(self) -> bool:
-        """Whether a batch has made this place its own: by its mark, or where that is lost by a result."""
+        """Whether this place is a library of a batch: it has the token or, if that is lost, a result."""
         return TOKEN in self.store.listed()[0] or any(self.result(name) for name in self.names())
 
     def _check_own(self) -> None:
-        """Raise OutputError where the folder is neither new nor a library, or has links to write through."""
+        """Raise OutputError if the folder is neither new nor a library, or if it contains links."""
         root = Path(self.address)
         if root.exists() and not root.is_dir():
             raise OutputError("a new folder or a library", f"the file {root}", "choose another place")
@@ -207,10 +207,10 @@ class ResultStore:
     # ---- records ----
 
     def _read(self, name: str, folder: str, state: str = "pending") -> Material | None:
-        """The record of a folder; None where there is none, or another thing."""
+        """The record of a folder; None if it is missing or invalid."""
         try:
             record = msgspec.convert(parsed(self.store.read(name)) | {"state": state}, Material)
-            json.dumps(msgspec.to_builtins(record), ensure_ascii=False).encode()  # no half characters
+            json.dumps(msgspec.to_builtins(record), ensure_ascii=False).encode()  # no lone surrogates
         except (OSError, ValueError, OutputError):
             return None
         return record if record.folder == folder and is_entry(folder) else None

@@ -1,4 +1,4 @@
-"""The loop of a batch: captures are handed out, what became of each is noted, and told."""
+"""The loop of a batch: it hands out captures, notes how each fit ended, and prints it."""
 
 import contextlib
 import re
@@ -20,10 +20,10 @@ from .records import Material
 from .settings import BatchSettings
 from .tasks import RayTasks
 
-TURN_SECONDS = 0.5  # at most so long nothing is looked at
-PAGE_SECONDS = 5.0  # between two writings of the page, which takes at most a fiftieth of the time
+TURN_SECONDS = 0.5  # longest wait before the loop looks again
+PAGE_SECONDS = 5.0  # between two writings of the page; writing takes at most a fiftieth of the time
 PAGE_SHARE = 1 / 50
-MOST_LOST = 8  # times that a capture's node, or its worker before the fit, may die before the capture fails
+MOST_LOST = 8  # deaths of a capture's node, or of its worker before the fit, after which the capture fails
 MOST_UNREADY = 20  # workers in a row that may die before a fit
 LAST_WORDS = re.compile(rf"^(?:Fatal Python error: |{HELD} ).*", re.MULTILINE)
 
@@ -31,9 +31,9 @@ LAST_WORDS = re.compile(rf"^(?:Fatal Python error: |{HELD} ).*", re.MULTILINE)
 class Batch:
     """A library that is being filled.
 
-    The largest captures go first, so that none is waited for alone at the end. A fit that crashed, or took
-    more time or memory than allowed, is tried again after all others; one that was refused is not, for it
-    would be refused again. What was lost with its node, or before the fit began, is handed out again at once.
+    The largest captures go first: else the batch may wait for one alone at the end. A fit that crashed, or
+    took more time or memory than allowed, is tried again after all others. A refused fit is not: it would be
+    refused again. A fit that was lost with its node, or before it began, is handed out again at once.
     """
 
     def __init__(self, library: Library, work: Sequence[Material], settings: BatchSettings, token: str,
@@ -49,9 +49,9 @@ class Batch:
         self.memory = settings.memory if settings.address else settings.local_memory()
 
     def run(self, tasks: RayTasks) -> bool:
-        """Until all is done, or Ctrl-C: the first one waits for what runs, the second one does not.
+        """Run until all is done, or until Ctrl-C: the first waits for the running fits, the second does not.
 
-        Gives whether it was interrupted. BackendError: Ray ended, or a node does not fit this command.
+        Returns whether it was interrupted. BackendError: Ray ended, or a node cannot take part.
         """
         told = False
         try:
@@ -77,7 +77,7 @@ class Batch:
 
     @contextlib.contextmanager
     def _noting(self) -> Iterator[None]:
-        """Where the library cannot be written, nothing more is handed out, and what runs ends."""
+        """If the library cannot be written, nothing more is handed out; running fits are waited for."""
         try:
             yield
         except (OutputError, OSError) as reason:
@@ -97,7 +97,7 @@ class Batch:
             self.library.running.add(material.folder)
 
     def _overdue(self, name: str) -> float | None:
-        """The limit of an attempt that takes more time than allowed; None of one that does not."""
+        """The time limit of an attempt that exceeds the limit; None for any other attempt."""
         limit, now = self.settings.timeout or self.running[name].limit, time.monotonic()
         return limit if limit and now > self.began.get(name, now) + limit else None
 
@@ -134,7 +134,7 @@ class Batch:
                                "or give its URL")
 
     def _last_words(self, name: str, event: dict) -> dict:
-        """What a worker that died had printed, and its reason, where it said one."""
+        """The log of a worker that died, and the reason of its death if the log states one."""
         path = log_path(self.library.results, name)
         if "log" in event or not is_regular(path) or path is None:
             return {}
@@ -148,7 +148,7 @@ class Batch:
         return {"log": log, "reason": found[-1], "state": state}
 
     def _ended(self, material: Material, event: dict) -> None:
-        """Note how an attempt ended, by what lies in the library."""
+        """Note how an attempt ended. A result that lies in the library counts first."""
         result = self.library.results.result(material.folder)
         state, folder, reason = event["state"], material.folder, event["reason"]
         how = "" if state == "failed" else f" ({state})"
@@ -175,11 +175,11 @@ class Batch:
 
     @property
     def words(self) -> str:
-        """How it stands now."""
+        """The progress so far."""
         running, left = len(self.running), len(self.waiting) + len(self.running)
         parts = [f"{self.ended:,} of {self.ended + left:,} ended",
                  *(f"{n:,} {what}" for n, what in ((running, "running"), (self.failed, "failed")) if n)]
-        if self.ended >= max(1, running) and left:  # earlier ends say too little
+        if self.ended >= max(1, running) and left:  # fewer fits give no estimate
             minutes = 1 + left * (time.monotonic() - self.started) / self.ended // 60
             parts.append(f"about {minutes:,.0f} min left")
         return ", ".join(parts)

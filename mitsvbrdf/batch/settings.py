@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from ..errors import ConfigError
 from ..io.provenance import memory_gib, usable_cores
 
-HEADROOM = 0.9  # of the memory that is free when the batch begins, for its workers together
-LEAST_GIB = 1.5  # a worker holds about 0.7 GiB before it fits, and so much at 256 px
+HEADROOM = 0.9  # share of the memory free at the start of the batch, for all workers together
+LEAST_GIB = 1.5  # a worker holds about 0.7 GiB before it fits, and this much in a fit at 256 px
 NO_LIMIT = float("inf")
 
 
@@ -20,16 +20,15 @@ class BatchSettings:
     threads: int = 1
     """Threads of each worker."""
     address: str | None = None
-    """A Ray cluster to join: auto, HOST:PORT or ray://HOST:PORT. Default: a Ray of its own, on this machine
-    alone."""
+    """Ray cluster to join: auto, HOST:PORT or ray://HOST:PORT. Default: a Ray on this machine alone."""
     retries: int = 2
-    """How often a fit is tried again that crashed, or took more time or memory than allowed."""
+    """How often a fit is tried again after it crashed, or took more time or memory than allowed."""
     timeout: float | None = None
-    """Seconds that a fit may take. Default: an hour plus 3 times the budget; none with --iterations alone."""
+    """Seconds a fit may take. Default: an hour plus 3 times the budget; no limit with --iterations alone."""
     memory: float | None = None
-    """GiB that a worker may take. Default: an equal share of what is free here; no limit on a cluster."""
+    """GiB that a worker may take. Default: an equal share of the free memory; no limit on a cluster."""
     retry_failed: bool = False
-    """Fit what failed in an earlier run again."""
+    """Fit again the captures that failed in an earlier run."""
 
     def check(self) -> None:
         """Raise ConfigError for numbers out of range."""

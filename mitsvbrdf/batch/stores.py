@@ -1,4 +1,4 @@
-"""Where files of a batch lie: a folder of this machine, or an object store behind a URL (``s3://``, ``gs://``)."""
+"""Where the files of a batch lie: a local folder, or an object store behind a URL (``s3://``, ``gs://``)."""
 
 import contextlib
 import hashlib
@@ -10,11 +10,11 @@ from typing import IO
 from ..errors import BackendError, MitsvbrdfError, OutputError
 from ..io.files import inside, open_regular, remove, stays_inside, write_bytes
 
-LOCAL = "file", "local"  # what fsspec calls this machine's files, where folders have to be made
+LOCAL = "file", "local"  # schemes of fsspec for local files; only there folders have to be made
 
 
 def is_url(address: str) -> bool:
-    """Whether an address is behind fsspec and not a path."""
+    """Whether an address is a URL for fsspec and not a path."""
     return "://" in address
 
 
@@ -44,7 +44,7 @@ class Store:
         self.root = root.rstrip("/")
 
     def path(self, name: str) -> str:
-        """Where a file lies, as its system names it; OutputError behind a link, or outside of the folder."""
+        """The path of a file in its file system. OutputError: behind a link, or outside of the folder."""
         if self.folder and name and inside(self.folder, name) is None:
             raise OutputError("a library without links in it", f"{self.folder / name}", "move the link away")
         return f"{self.root}/{name}" if name else self.root
@@ -87,7 +87,7 @@ class Store:
                 self.fs.get_file(self.path(each), str(folder / each))
 
     def listed(self, name: str = "") -> tuple[list[str], list[str]]:
-        """The names right inside a folder, of files and of folders; none where it is missing."""
+        """The names of files, and of folders, directly inside a folder; none if the folder is missing."""
         path, names = self.path(name), {"file": list[str](), "directory": list[str]()}
         with self.reached(), contextlib.suppress(FileNotFoundError):
             for info in self.fs.ls(path, detail=True):
@@ -96,7 +96,7 @@ class Store:
         return names["file"], names["directory"]
 
     def objects(self, name: str = "") -> dict[str, dict]:
-        """What the system says of each regular file below a folder, by its name in there."""
+        """What the file system tells of each regular file below a folder, by name relative to the folder."""
         folder = self.path(name)
         with self.reached():
             found = self.fs.find(folder, detail=True)
@@ -104,7 +104,7 @@ class Store:
         return {each: info for each, info in named if each and info["type"] == "file"}
 
     def contents(self) -> list[list]:
-        """Name, size and what a store knows of the content of each object, by name."""
+        """Name, size and content tag (such as an ETag) of each object, sorted by name."""
         return sorted([name, info["size"], str(info.get("ETag") or info.get("md5Hash")
                                                or self.fs.ukey(self.path(name)))]
                       for name, info in self.objects().items())
@@ -128,7 +128,7 @@ class Store:
 
     @contextlib.contextmanager
     def reached(self) -> Iterator[None]:
-        """What an object store or its client raises becomes an error of ours; FileNotFoundError stays."""
+        """Inside the block, an error of an object store or client becomes ours; FileNotFoundError stays."""
         try:
             yield
         except (MitsvbrdfError, FileNotFoundError):

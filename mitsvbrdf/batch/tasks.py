@@ -23,16 +23,16 @@ PREFIX = "mitsvbrdf-ray-"  # of the folder of a Ray of its own, which nobody els
 OBJECT_STORE_BYTES = 80 << 20  # Ray wants 75 MiB at least; it is shared memory that stays untouched
 LOOPBACK = "127.0.0.1"
 ALONE = {
-    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # on Linux too it is this that lets Ray keep to loopback
+    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # also on Linux, this keeps Ray on loopback
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_AUTH_MODE": "token",  # other users of this machine reach the ports too
-    # else a process a CPU, which no one needs
+    # else Ray starts a process for each CPU, which nobody needs
     "RAY_enable_worker_prestart": "0", "RAY_prestart_worker_first_driver": "0",
     "RAY_enable_metrics_collection": "0",
     "RAY_worker_niceness": "0",
 }
 THREADS = "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"
-CALLS = 200  # fits of a worker, before a new one takes its place and its memory is free again
+CALLS = 200  # fits of a worker, before a new worker replaces it and its memory is free again
 TRIES = 3  # Ray gives up where a busy machine takes more than half a minute to start it
 LOOK_SECONDS = 5.0  # between two looks at a cluster's nodes
 SILENT_SECONDS = 30.0  # a cluster that gives no answer for so long is gone
@@ -40,9 +40,9 @@ GONE = "run the same command again: it goes on"
 
 
 class RayTasks:
-    """Fits that run on Ray; a context, which starts Ray or joins it, and ends what is its own.
+    """Fits that run on Ray. A context manager: it starts Ray or joins a cluster, and ends what it started.
 
-    ``function`` yields who does a task, then what came of it. Each node loads it from its own package.
+    ``function`` yields who does a task, then how the task ended. Each node loads it from its own package.
     """
 
     def __init__(self, settings: BatchSettings,
@@ -57,7 +57,7 @@ class RayTasks:
         with contextlib.ExitStack() as last:
             folder = Path(last.enter_context(tempfile.TemporaryDirectory(prefix=PREFIX,
                                                                                ignore_cleanup_errors=True)))
-            # Ray prints what happens to workers; the batch tells of captures
+            # Ray prints what happens to workers; the batch itself prints what happens to captures
             log = last.enter_context((folder / "ray.log").open("a"))
             last.enter_context(contextlib.redirect_stdout(log))
             self._start(folder)
@@ -86,7 +86,7 @@ class RayTasks:
         self._tasks[self._call.remote(task)] = name
 
     def cancel(self, *names: str) -> None:
-        """Kill the workers of tasks; each then ends as ``cancelled``, where it had not ended yet."""
+        """Kill the workers of tasks. Each task that has not ended yet then ends as ``cancelled``."""
         import ray
 
         for task, name in self._tasks.items():
@@ -95,7 +95,7 @@ class RayTasks:
                     ray.cancel(task, force=True)
 
     def events(self, seconds: float) -> list[tuple[str, dict]]:
-        """What tasks yielded since the last call, by their names; waits so long for the first.
+        """What tasks yielded since the last call, with their names. Waits ``seconds`` at most.
 
         A task whose worker is gone yields a ``state`` (crashed, cancelled, memory, or lost with its node) and
         a ``reason``. A task ends with its first ``state``. BackendError: Ray itself ended.
@@ -154,7 +154,7 @@ class RayTasks:
                 else "check the address: that of `ray start --head`, seen from this machine") from error
 
     def _start_own(self, folder: Path) -> None:
-        """Start a Ray on this machine alone, with as many CPUs as the workers use, whatever there are."""
+        """Start a Ray on this machine alone. It gets as many CPUs as the workers use, however many exist."""
         settings, before = self.settings, _children()
         os.environ.pop("RAY_ADDRESS", None)
         os.environ.update(ALONE)
@@ -176,7 +176,7 @@ class RayTasks:
         self._servers = _children() - before
 
     def _init(self, folder: Path, address: str | None, **options: Any) -> None:
-        """Start or join; workers may import from the folder in which that is done, so it is an empty one."""
+        """Start or join Ray, in a folder without modules: workers may import from the current folder."""
         import ray
 
         env = {"env_vars": dict.fromkeys(THREADS, str(self.settings.threads))}

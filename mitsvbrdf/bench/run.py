@@ -28,8 +28,8 @@ from .tasks import Predict, Task
 class Record(TypedDict):
     """One fit: its key, and what came of it.
 
-    ``seconds`` by the loop's clock, ``wall`` with the preparation before and the diagnosis after it;
-    ``errors`` as the task has them, none of a fit that failed, which ``why`` explains.
+    ``seconds`` are those of the loop; ``wall`` includes the preparation before and the diagnosis after it.
+    ``errors`` are those of the task. A failed fit has no errors, and ``why`` states the reason.
     """
 
     method: str
@@ -58,7 +58,7 @@ RESULTS = ("seconds", "wall", "iterations", "stopped", "why", "errors")  # the o
 
 @dataclass(frozen=True)
 class Job:
-    """One fit to be done; its parts are those of its record."""
+    """One fit to be done. Its fields are also in its record."""
 
     method: str
     task: Task
@@ -79,7 +79,7 @@ class Job:
 
 
 def method_table() -> dict[str, FitConfig]:
-    """Name -> settings: the methods of ``fit``, and one more entry for each further preset."""
+    """Settings by name: the methods of ``fit``, and an entry for each preset that is not their default."""
     table: dict[str, FitConfig] = {}
     for name, config in METHODS.items():
         table[name] = default = config()
@@ -93,15 +93,15 @@ def method_table() -> dict[str, FitConfig]:
 def run(methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequence[float],
         seeds: Sequence[int], renderer: Renderer, path: Path,
         report: Report = lambda text, share: None) -> list[Record]:
-    """Do the fits whose records are missing; keep each record as soon as it is there.
+    """Do the fits whose records are missing; write each record as soon as its fit ends.
 
-    Methods take turns, so that drift of the machine hits all; the first seed is done before the next one, and
-    short budgets before long ones. A method without randomness has the first seed alone. The file at ``path``
-    has one JSON object a line; one that is there is gone on with. Returned are the records asked for, of this
-    version and machine, in the order of the fits.
+    Methods take turns, so that drift of the machine affects all of them. The first seed is done before the
+    next one, and short budgets before long ones. A method without randomness has only the first seed. The
+    file at ``path`` has one JSON object a line. An existing file is continued. Returns the records asked for,
+    of this version and machine, in the order of the fits.
 
-    ConfigError, OutputError: a file that holds something else, or cannot be written. KeyboardInterrupt: after
-    Ctrl-C; the records of finished fits are kept.
+    ConfigError, OutputError: the file holds something else, or cannot be written. KeyboardInterrupt: Ctrl-C;
+    the records of finished fits are kept.
     """
     jobs = [Job(method, task, config, budget, seed)
             for seed in seeds for budget in sorted(budgets) for task in tasks
@@ -162,7 +162,7 @@ def identity(record: Mapping[str, Any]) -> str:
 
 
 def settings_of(config: FitConfig) -> dict[str, Any]:
-    """The class and settings that are not its own, as JSON has them; each fit sets budget and seed."""
+    """The class and the settings that are not its defaults, for JSON; each fit sets budget and seed."""
     own = asdict(type(config)())
     changed = {name: value for name, value in asdict(config).items()
                if value != own[name] and name not in ("budget", "seed")}
@@ -171,7 +171,7 @@ def settings_of(config: FitConfig) -> dict[str, Any]:
 
 @functools.cache
 def version() -> str:
-    """The version of mitsvbrdf; where it runs from its repository, with the commit, ``-dirty`` if changed."""
+    """The version of mitsvbrdf. In a git checkout it has the commit, and ``-dirty`` if a file has changed."""
     root = Path(__file__).parents[2]
     if not (root / ".git").exists():
         return __version__
@@ -184,7 +184,7 @@ def version() -> str:
 
 def fit(capture: Capture, renderer: Renderer, config: FitConfig,
         report: Callable[[float], None]) -> tuple[Fit, Predict]:
-    """One fit, and what it predicts for photos. The light falls off as the method takes for granted.
+    """One fit, and a function for its error on photos. The light falls off as the method assumes.
 
     KeyboardInterrupt: Ctrl-C ended it. MitsvbrdfError: it cannot be done, or its budget ends before the first
     step.
@@ -221,7 +221,7 @@ def _fitted(job: Job, key: dict, renderer: Renderer, tell: Callable[[float], Non
 
 
 def _warm_up(job: Job, renderer: Renderer, warm: set[tuple]) -> None:
-    """Two steps before the first fit of a shape, so that no fit that counts waits for kernels."""
+    """Do two steps before the first fit of a shape, so that no measured fit waits for kernels to compile."""
     photos = job.task.photos
     shape = job.method, len(photos), photos.resolution
     if shape not in warm:

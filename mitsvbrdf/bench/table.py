@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
-# The errors that are judged by, of each kind of task, and what they are called.
+# The errors that judge each kind of task, and their names in titles.
 ERRORS = {"material": {"mean": "maps", "novel_light": "images under new light"},
           "capture": {"held_out": "held-out photos", "seen": "photos seen"}}
 KINDS = {"material": "known materials", "capture": "real captures"}
@@ -21,7 +21,7 @@ class Judged(NamedTuple):
 
 
 def judged(records: Iterable[Mapping[str, Any]]) -> Iterator[Judged]:
-    """Records by what judges them: materials, and captures by the photos held out; each by its errors."""
+    """Group records by what judges them: kind of task, held-out photos, and error."""
     groups: dict[tuple, list[Mapping]] = {}
     for record in records:
         groups.setdefault((record["kind"], tuple(record.get("held_out", ()))), []).append(record)
@@ -34,12 +34,12 @@ def judged(records: Iterable[Mapping[str, Any]]) -> Iterator[Judged]:
 
 
 def summary(records: Iterable[Mapping[str, Any]], error: str) -> pd.DataFrame:
-    """What every method reaches at every budget, by a name in the ``errors`` of fits of one kind.
+    """The error of every method at every budget; ``error`` is a name in the ``errors`` of the records.
 
     The error of a method with one seed and budget is its mean over tasks. A seed that lacks a task, or failed
-    at one, does not count. By method (in the order of the records) and budget: ``median``, ``low`` and
-    ``high`` (quartiles) over ``seeds`` seeds; ``seconds`` of the loop and on the ``wall``, medians; whether
-    all ``ended`` by themselves.
+    at one, does not count. Index: method (in the order of the records) and budget. Columns: ``median``,
+    ``low`` and ``high`` (quartiles) over ``seeds`` seeds; medians of ``seconds`` (of the loop) and ``wall``;
+    ``ended``: whether all fits ended by themselves.
     """
     records = list(records)
     tasks = len({record["name"] for record in records})
@@ -91,7 +91,7 @@ def note(group: Judged) -> str:
 
 
 def as_markdown(cells: pd.DataFrame) -> str:
-    """A table of text as Markdown, all but its index at the right."""
+    """A table of text as Markdown. All columns but the index are right-aligned."""
     rows = [["", *cells.columns], ["---", *["---:"] * len(cells.columns)],
             *([name, *row] for name, row in zip(cells.index, cells.itertuples(index=False)))]
     return "\n".join(f"| {' | '.join(map(str, row))} |" for row in rows)

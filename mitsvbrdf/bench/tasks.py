@@ -22,7 +22,7 @@ from ..render import Renderer, make_renderer
 from ..synth import photograph
 from ..views import Views
 
-HELD_OUT = (4, 7)  # photos of a real capture that no fit sees, where nothing else is said
+HELD_OUT = (4, 7)  # photos of a real capture that no fit sees, by default
 # RMSE in display values of what a fit predicts for photos.
 Predict = Callable[[Capture], float]
 
@@ -45,7 +45,7 @@ class KnownMaterial:
                 "views": self.seen_from}
 
     def errors(self, svbrdf: SVBRDF, predict: Predict) -> dict[str, float]:
-        """RMSE of each map and their ``mean``, of images under ``novel_light``, of the ``photos``."""
+        """RMSE of each map, their ``mean``, and the RMSE of ``novel_light`` images and of the ``photos``."""
         maps = map_rmse(svbrdf, self.truth) if self.folder is None else evaluate_maps(svbrdf, self.folder)
         size = min(svbrdf.resolution, self.truth.resolution)
         renderer, lit = make_renderer("analytic"), novel_views(self.photos.views)
@@ -83,7 +83,7 @@ Task = KnownMaterial | RealCapture
 
 def known_material(name: str, resolution: int, views: Views, renderer: Renderer,
                    seen_from: str = "builtin:grid") -> KnownMaterial:
-    """8-bit photos without noise of ``builtin:NAME`` or a folder of maps; records name their views."""
+    """8-bit photos without noise of ``builtin:NAME`` or a folder of maps; ``seen_from`` names the views."""
     if name.startswith("builtin:"):
         truth, folder = make_material(name.removeprefix("builtin:"), resolution), None
     else:
@@ -93,7 +93,7 @@ def known_material(name: str, resolution: int, views: Views, renderer: Renderer,
 
 
 def real_capture(folder: Path, resolution: int, held_out: Sequence[int] = HELD_OUT) -> RealCapture:
-    """A task from a folder of photos, of which those with the numbers ``held_out`` no fit sees."""
+    """A task from a folder of photos. No fit sees the photos with the numbers ``held_out``."""
     shots = read_capture(folder, resolution=resolution)
     seen = [i for i in shots.index if i not in held_out]
     if not seen:
@@ -109,11 +109,11 @@ def find_tasks(materials: Sequence[str] | None, captures: Sequence[str] | None, 
     """Tasks by name: known materials (``builtin:NAME``, folders, made ones or those in the data) and
     captures.
 
-    None is all there are; "none" is skipped. No fit sees the photos of captures with the numbers
-    ``held_out``. Photos of known materials are taken by the renderer from the views of a capture, or of
-    builtin:grid; None: of cards-blue of the data, else builtin:grid.
+    None takes all there are; "none" is skipped. No fit sees the photos of captures with the numbers
+    ``held_out``. The renderer makes the photos of known materials. Their views are those of a capture or
+    builtin:grid; None: the capture cards-blue of the data, else builtin:grid.
 
-    ConfigError, CaptureError, MapsError: one that is not there, two of one name, or none at all.
+    ConfigError, CaptureError, MapsError: a task is missing, two tasks have one name, or there is no task.
     """
     there = {what: {p.name: str(p) for p in _folders(data, what)} for what in ("materials", "captures")}
     made = {name: f"builtin:{name}" for name in MATERIALS}
@@ -131,7 +131,7 @@ def find_tasks(materials: Sequence[str] | None, captures: Sequence[str] | None, 
 
 
 def _chosen(asked: Sequence[str] | None, known: Mapping[str, str]) -> list[str]:
-    """Names as ``builtin:NAME`` or folders, each once and there."""
+    """The names as ``builtin:NAME`` or folders; ConfigError: one is missing, or named twice."""
     names = list(known.values()) if asked is None else [
         name if Path(name).is_dir() else known.get(name, name) for name in asked if name != "none"]
     missing = [name for name in names if not name.startswith("builtin:") and not Path(name).is_dir()]
@@ -155,10 +155,10 @@ def data_folder(folder: Path | None = None) -> Path | None:
 
 
 def novel_views(views: Views) -> Views:
-    """Views from straight above with lights far off the lens, as no photo with a flash has them.
+    """Views from straight above, with lights far from the lens. No flash photo has such light.
 
-    Four lights stand 25 degrees from the upright, and four 50 degrees, turned by half a step, as far off as
-    the photos' cameras stand high in the mean. An upright white diffuse texel below has radiance 1.
+    Four lights stand 25 degrees from the vertical, and four 50 degrees, turned by half a step. Their distance
+    is the mean height of the photos' cameras. A central white diffuse texel that faces one has radiance 1.
     """
     height = float(views.in_patch_sides().camera[:, 2].mean())
     lights = []

@@ -1,8 +1,8 @@
 """The command line: parse, call, print, exit code.
 
-0 is success, and a fit that Ctrl-C ended early; 1 a check that does not hold; 2 a mistake the caller can
-mend; 130 Ctrl-C without a result. Only the module of the chosen command is imported: help on commands loads
-neither torch nor Mitsuba.
+Exit code 0 is success, also of a fit or relight that Ctrl-C ended with a result. 1: a check does not hold, or
+a part of the work failed. 2: the caller made a mistake. 130: Ctrl-C came without a result, or with work left.
+Only the module of the chosen command is imported: the list of commands loads neither torch nor Mitsuba.
 """
 
 import ast
@@ -26,12 +26,12 @@ from .renamed import with_new_names
 COMMANDS = ("capture", "fit", "batch", "library", "guess", "render", "evaluate", "compare", "crosscheck",
             "stability", "bench", "synth", "doctor", "export", "relight", "report", "sheet", "demo")
 FITTING = ("fit", "batch")  # these have the options of the methods
-RESUMED = ("fit", "relight")  # what these leave unfinished goes on with --resume
+RESUMED = ("fit", "relight")  # --resume continues an unfinished run of these
 MOST = {"resolution": 16384, "size": 16384, "repeats": 10_000, "frames": 100_000}  # memory, or days
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command of these arguments, of the process by default; gives the exit code."""
+    """Run the command that the arguments name (default: those of the process); return the exit code."""
     arguments = with_new_names(sys.argv[1:] if arguments is None else arguments)
     if arguments == ["--version"]:
         print(f"mitsvbrdf {__version__}")
@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _interruptible(arguments: list[str]) -> int:
-    """Run a command. A mistake or an end that comes before a Ctrl-C could be raised counts as that Ctrl-C."""
+    """Run a command. If a Ctrl-C still waits to be raised when the command ends or fails, raise it."""
     try:
         return _run(arguments)
     finally:
@@ -69,7 +69,7 @@ def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:
 
 
 def _check_numbers(name: str, value: object) -> None:
-    """Raise ConfigError for an option that no command can do anything with."""
+    """Raise ConfigError for an option whose number is NaN or too large for every command."""
     if is_dataclass(value):
         for each in fields(value):
             _check_numbers(each.name, getattr(value, each.name))
@@ -79,7 +79,7 @@ def _check_numbers(name: str, value: object) -> None:
 
 
 def _run(arguments: list[str]) -> int:
-    """Parse the arguments with the options of the command they begin with; without one, show all commands."""
+    """Run the command that the arguments begin with. If they name no command, show all commands."""
     import tyro
 
     check_names(*arguments)
@@ -111,7 +111,7 @@ def summary(name: str) -> str:
 
 
 def _named_only(text: str) -> Callable[[], int]:
-    """Stands for a command in the list of all: its help, and nothing to call."""
+    """A stand-in for a command in the list of all commands: it has the help text, but is never called."""
     def other() -> int:
         raise AssertionError("only the chosen command is called")
 

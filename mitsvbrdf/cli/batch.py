@@ -32,31 +32,31 @@ TOLD = 20  # failures that are told one by one
 
 
 def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="captures", help=(
-              "Captures, folders of captures, URLs, or lists. A line of a list is a capture with its own "
-              "options."), help_behavior_hint="(required)")],
+              "Captures, folders of captures, URLs, or list files. A line of a list file is a capture, then "
+              "the options for it alone."), help_behavior_hint="(required)")],
           out: Annotated[str, arg(aliases=["-o"], metavar="LIBRARY", help=(
               "The library: a folder that all workers see, or a URL like s3://bucket/library."))],
           config: Settings, shared: OmitArgPrefixes[FitOptions] = USUAL,
           running: OmitArgPrefixes[BatchSettings] = USUAL_BATCH,
           method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"], arg(
-              help="How to fit. `batch --method gan --help` shows its own options.")] = "hierarchical",
+              help="How to fit. `batch --method gan --help` shows the options of gan.")] = "hierarchical",
           pages: Annotated[Literal["all", "none"], arg(
-              help="none: maps, uncertainty, fit.json and preview alone, in a sixth of the space.")] = "all",
+              help="none: only maps, uncertainty, fit.json and preview, in a sixth of the space.")] = "all",
           tag: UseAppendAction[Annotated[tuple[str, ...], arg(
-              help="Words to find these materials by, commas between.")]] = (),
+              help="Words to search these materials by, separated by commas.")]] = (),
           sheet: Annotated[float | None, arg(metavar="CM", help=(
               "Measured size of the printed sheet of tags around the material in raw photos."))] = None,
           strict: Strict = False, advanced: Advanced = False) -> int:
-    """Fit many captures into one library. Run again after a crash, it goes on.
+    """Fit many captures into one library. After a crash, the same command continues the batch.
 
     `mitsvbrdf batch shots/ -o library` fits each capture in shots/. The options are those of `mitsvbrdf fit`.
-    The same command again goes on: it checks and skips what is done, and fits what has changed. With
-    --retry-failed it also fits what failed. Raw photos become captures first. Ctrl-C waits for the fits that
-    run; a second one ends them.
+    The same command continues an earlier batch: it checks and skips finished results, and fits captures that
+    have changed. With --retry-failed it also fits captures that failed. Raw photos are first made into a
+    capture. Ctrl-C waits for the running fits. A second Ctrl-C ends them.
 
-    LIBRARY then holds a folder for each material, index.html to look at (also while the batch runs),
+    LIBRARY holds a folder for each material, the page index.html (you can open it while the batch runs),
     library.json for pandas, and failed/ with the reason and the log of each capture that failed. The exit
-    code is 1 where one failed. Needs Ray: pip install 'mitsvbrdf[batch]'.
+    code is 1 if a capture failed. The command needs Ray: pip install 'mitsvbrdf[batch]'.
     """
     running.check()
     shared.check(config)
@@ -85,7 +85,7 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
 
 
 def with_own_options(entry: Entry, base: Asked) -> Asked:
-    """A capture with the options of its line beside those of the command line."""
+    """What is asked of a capture: the options of the command line, changed by those of its line in a list."""
     if not entry.own:
         return replace(base, entry=entry)
     import tyro
@@ -111,13 +111,13 @@ def with_own_options(entry: Entry, base: Asked) -> Asked:
 
 
 def _plain(box: str) -> str:
-    """The sentence in tyro's box: what stands between its title and the next rule or empty line."""
+    """The sentence in an error box of tyro: the text from its title to the next rule or empty line."""
     lines = [line.strip("│╭╮╰╯ ").strip("─-") for line in re.sub(r"\x1b\[[0-9;]*m", "", box).splitlines()]
     return " ".join(itertools.takewhile(bool, itertools.dropwhile(lambda line: not line, lines[1:])))
 
 
 def _split(tags: Sequence[str]) -> tuple[str, ...]:
-    """Tags with commas between them as tags."""
+    """Split each text at its commas into tags."""
     return tuple(dict.fromkeys(word for tag in tags for part in tag.split(",") if (word := part.strip())))
 
 
@@ -131,7 +131,7 @@ def _say_stock(stock: Stock, results: ResultStore) -> None:
 
 
 def _ended(library: Library, interrupted: bool, unreadable: int) -> int:
-    """Say what came of it, and give the exit code."""
+    """Print how the batch ended, and return the exit code."""
     counts, home = library.counts(), library.results.address
     failed = [each for each in library.shown().values() if each.state == "failed"]
     for each in sorted(failed, key=lambda each: each.name)[:TOLD]:

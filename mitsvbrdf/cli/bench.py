@@ -23,27 +23,27 @@ Names = Annotated[str | None, arg(metavar="NAME,...")]
 
 def bench(
     methods: Annotated[Names, arg(
-        help="Methods, of presets too: gan-two-stage. Default: the methods of `mitsvbrdf fit`.")] = None,
+        help="Methods, or presets like gan-two-stage. Default: the methods of `mitsvbrdf fit`.")] = None,
     materials: Annotated[Names, arg(help=(
-        "Known materials: builtin:NAME, folders, or names in the data; none: without. Default: all made ones "
-        "and all in the data."))] = None,
+        "Known materials: builtin:NAME, folders, or names in the data folder. none: no material. Default: "
+        "all built-in ones and all in the data folder."))] = None,
     captures: Annotated[Names, arg(
-        help="Real captures: folders or names in the data; none: without. Default: all.")] = None,
+        help="Real captures: folders, or names in the data folder. none: no capture. Default: all.")] = None,
     budgets: Annotated[str, arg(metavar="SECONDS,...", help="Time budgets of the fits.")] = "10,30,100",
     seeds: Annotated[str, arg(metavar="NUMBER,...", help="Seeds of the fits.")] = "0,1,2",
     resolution: Annotated[int, arg(help="Side of maps and photos in pixels.")] = 256,
     views: Annotated[str | None, arg(help=(
-        "Views of the photos of known materials: a capture, or builtin:grid. Default: cards-blue of the "
-        "data, else builtin:grid."))] = None,
+        "Views for the photos of known materials: a capture, or builtin:grid. Default: the capture "
+        "cards-blue in the data folder, else builtin:grid."))] = None,
     held_out: Annotated[str, arg(
-        metavar="NUMBER,...", help="Photos of real captures to hold out; their error is measured.")] = "4,7",
+        metavar="NUMBER,...", help="Photos to hold out of real captures. Their error is measured.")] = "4,7",
     data: Annotated[Path | None, arg(
-        help="Folder with captures/ and materials/. Default: MITSVBRDF_DATA.")] = None,
+        help="Data folder: captures/, materials/. Default: environment variable MITSVBRDF_DATA.")] = None,
     json_file: Annotated[Path, arg(
         name="json", help="File of the records, one JSON object a line. An existing file is continued.",
     )] = Path("out/bench.jsonl"),
     page: Annotated[Path | None, arg(
-        help="Write the tables to this Markdown file, and their picture beside it as SVG.")] = None,
+        help="Write the tables to this Markdown file, and their plot as an SVG file beside it.")] = None,
     renderer: Annotated[RendererName, arg(help="Renderer of the fits.")] = "mitsuba",
     variant: Variant = "llvm_ad_rgb",
     overwrite: Annotated[Overwrite, arg(help="Replace an earlier page; records stay.")] = False,
@@ -53,8 +53,8 @@ def bench(
     Known materials are judged by their maps and by images under new light, real captures by photos that no
     fit sees. The tables show the median over seeds.
 
-    Each record is kept as soon as its fit is done: Ctrl-C loses one fit at most, and the same command
-    continues. Nothing else should run meanwhile. docs/evaluation.md explains the errors.
+    Each record is written as soon as its fit ends. Ctrl-C loses one fit at most, and the same command
+    continues. Nothing else should run on the machine meanwhile. docs/evaluation.md explains the errors.
     """
     files.check_output(json_file, page)
     picture = page.with_suffix(".svg") if page else None

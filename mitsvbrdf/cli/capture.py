@@ -24,25 +24,25 @@ def capture(photos: Annotated[Positional[Path], arg(
                 metavar="PHOTOS", help="A folder of raw photos: jpg, png, heic, dng, ...")],
             out: Out,
             sheet: Annotated[float | None, arg(metavar="CM", help=(
-                "Measured size of the printed sheet of tags around the material, over the outer edges of "
-                "the tags. Default: no sheet."))] = None,
+                "Measured size of the printed sheet of tags around the material, from outer edge to outer "
+                "edge of the tags. Default: no sheet."))] = None,
             depth: Annotated[float, arg(metavar="CM", help=(
-                "Height of the sheet above the material. Default: that of paper."))] = PAPER_THICKNESS,
+                "Height of the sheet above the material. Default: thickness of paper."))] = PAPER_THICKNESS,
             transfer: Annotated[TransferChoice, arg(
                 help="How photos encode light. auto: linear for RAW files, else srgb.")] = "auto",
             resolution: Annotated[int, arg(
                 help="Largest side of the rectified photos. Photos are never enlarged.")] = 1024,
             reference: Annotated[Literal["best", "first"], arg(help=(
-                "Photo that says what is up, without a sheet. best: that from most above."))] = "best",
+                "Without a sheet: the photo that defines up. best: that most nearly from above."))] = "best",
             overwrite: Overwrite = False, strict: Strict = False) -> int:
-    """Make a capture of raw photos for `mitsvbrdf fit`: find the poses, rectify, reject bad photos.
+    """Make a capture from raw photos for `mitsvbrdf fit`: find the poses, rectify, reject bad photos.
 
     Take nine photos of a flat material from nine places, with flash, exposure and focus locked; see
     docs/capture.md. With a printed sheet of tags (`mitsvbrdf sheet`) and --sheet, lengths are exact and in
-    cm. Without, poses come from what the photos have in common.
+    cm. Without a sheet, poses come from image features that the photos share.
 
     OUT holds capture.json and the rectified photos in target/. quality.html lists rejected photos with the
-    reason, and says where one more photo helps most. quality.json holds its numbers.
+    reason, and says where one more photo helps most. quality.json holds the numbers of that page.
     """
     from ..capture import write_capture
     from ..capture.align.from_sheet import refuse_tags
@@ -74,7 +74,7 @@ def capture(photos: Annotated[Positional[Path], arg(
 
 
 def _print(result: "CaptureResult") -> None:
-    """Each photo with its number in a fit or the reason to reject it, and notes."""
+    """Print each photo with its number in a fit or the reason for its rejection, then the notes."""
     from ..capture.quality.next_view import HIGHLIGHT_ANGLE
 
     table = Table(title=f"{len(result.used)} of {len(result.photos)} photos used", title_justify="left")

@@ -18,12 +18,12 @@ from ..report.compare_page import write_compare_page
 from ..views import photo_numbers
 from . import options
 
-LARGEST_SIDE = 256  # pixels a side, where nothing else is asked for
+LARGEST_SIDE = 256  # pixels a side, without --resolution
 
 
 def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", help=(
-                "Folders of maps, published or the OUT of fits, or builtin:NAME. NAME= sets the caption. "
-                "Default: the folder's name."))]],
+                "Folders of published maps, OUT folders of fits, or builtin:NAME. NAME= sets the caption. "
+                "Default caption: the name of the folder."))]],
             capture: Annotated[Path, arg(metavar="CAPTURE", help="The photos.")], out: options.Out,
             reference: options.Reference = None, encoding: options.MapEncoding = (),
             normal: options.MapNormal = "auto", views: options.ViewList = None,
@@ -31,14 +31,14 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
                 help="Side of photos and maps. Default: the smallest among them, at most 256.")] = None,
             renderer: RendererName = "mitsuba", transfer: options.FittedTransfer = "auto",
             refine_views: Annotated[bool, arg(
-                help="Measure again with camera, flash and exposure of each photo refined.")] = False,
+                help="Measure again after refining camera, flash and exposure of each photo.")] = False,
             json_file: options.JsonFile = None, variant: options.Variant = "llvm_ad_rgb",
             overwrite: options.Overwrite = False, strict: options.Strict = False) -> int:
     """Show maps of several methods side by side, with errors, and every photo beside its re-renderings.
 
     `mitsvbrdf compare out materialgan=captures/wood/materialgan --capture captures/wood -o page.html` writes
-    one HTML file that needs no network. Photos that a fit saw are rendered with the views it ended with, all
-    others as `mitsvbrdf evaluate` does.
+    one HTML file that needs no network. A photo that a fit saw is rendered with the final view of that fit,
+    any other photo as in `mitsvbrdf evaluate`.
     """
     if not maps:
         raise ConfigError("one or more folders of maps", "none", "name them before --capture")
@@ -75,7 +75,7 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
 
 
 def _entry(text: str, resolution: int, encoding: options.MapEncoding, normal: options.MapNormal) -> Entry:
-    """Maps, name and fit of ``[NAME=]MAPS``; the folder is the name of maps without one."""
+    """Maps, name and fit of ``[NAME=]MAPS``. Without NAME, the folder gives the name."""
     maps = _folder(text)
     name = text[:len(text) - len(maps)].removesuffix("=") or options.name_of(maps)
     svbrdf = options.material_of(maps, resolution, encoding, normal)
@@ -83,5 +83,5 @@ def _entry(text: str, resolution: int, encoding: options.MapEncoding, normal: op
 
 
 def _folder(text: str) -> str:
-    """MAPS of ``[NAME=]MAPS``; an existing folder with a = in its name is that folder."""
+    """MAPS of ``[NAME=]MAPS``. The path of an existing folder is MAPS as a whole, also with a = in it."""
     return text if os.path.exists(text) or "=" not in text else text.partition("=")[2]

@@ -21,7 +21,7 @@ from . import options
 
 def crosscheck(
     maps: Positional[Annotated[str | None, arg(metavar="MAPS", help=(
-        "A folder of maps, the OUT of a fit, or builtin:NAME. Default: made materials and corner cases."))]
+        "A folder of maps, OUT of a fit, or builtin:NAME. Default: built-in materials and corner cases."))]
     ] = None,
     views: options.ViewSource = "builtin:grid", encoding: options.MapEncoding = (),
     normal: options.MapNormal = "auto",
@@ -32,9 +32,9 @@ def crosscheck(
     json_file: options.JsonFile = None,
     html_file: Annotated[Path | None, arg(
         name="html", help="Write a page with figures and error maps.")] = None,
-    repeats: Annotated[int, arg(help="Timed passes of each configuration, in turn with all others.")] = 5,
+    repeats: Annotated[int, arg(help="Timed passes of each configuration. Configurations take turns.")] = 5,
     resolution: Annotated[int | None, arg(
-        help="Side of the maps, by area averages. Default: 256; 128 for the built-in set.")] = None,
+        help="Side of the maps. Larger maps are area-averaged. Default: 256; without MAPS 128.")] = None,
     variant: options.Variant = "llvm_ad_rgb", overwrite: options.Overwrite = False,
 ) -> int:
     """Compare every renderer and BSDF with the float64 twin: images, gradients, run time.
@@ -107,7 +107,7 @@ def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
                  for v in values]
         table.add_row(label, *(form(each) if each else "" for each in (tolerance, limit)), *cells)
 
-    limit = rows[0]["limit"]  # it hangs on materials and views alone
+    limit = rows[0]["limit"]  # it depends on materials and views alone
     for name in ("mean", "p99.9", "worst", "bias"):
         add(f"image, {name}", stated["image"].get(name), limit.get(name),
             [row["image"][name] for row in rows])

@@ -1,4 +1,4 @@
-"""``mitsvbrdf demo``: a made material photographed, recovered and compared with the truth."""
+"""``mitsvbrdf demo``: a built-in material is photographed, recovered and compared with the truth."""
 
 from pathlib import Path
 from typing import Annotated
@@ -13,7 +13,7 @@ from .options import Out
 def demo(out: Out = Path("demo"),
          budget: Annotated[float, arg(help="Seconds that the fit may take.")] = 75.0,
          overwrite: Annotated[bool, arg(help="Keep an earlier demo.", help_behavior_hint="")] = True) -> int:
-    """Photograph a made material, recover it, and compare with the truth; about two minutes."""
+    """Photograph a built-in material, recover it, and compare with the truth. Takes about two minutes."""
     from ..evaluate import evaluate_maps
     from ..fit.config import HierarchicalConfig
     from ..material.made import make_material

@@ -29,20 +29,20 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
              falloff: Annotated[options.FalloffOption, arg(
                  help="Falloff of light. auto: as in the fit.")] = "auto",
              refine_views: Annotated[bool, arg(
-                 help="Measure again with camera, flash and exposure of each photo refined.")] = False,
+                 help="Measure again after refining camera, flash and exposure of each photo.")] = False,
              json_file: options.JsonFile = None, variant: options.Variant = "llvm_ad_rgb",
              overwrite: options.Overwrite = False, strict: options.Strict = False) -> int:
     """Measure maps: against known maps (--reference) or against photos (--capture).
 
-    Map RMSE is counted as in the field: diffuse and specular gamma-encoded, roughness as stored, normal as
-    (n + 1) / 2. Re-rendering RMSE is in display values clipped to [0, 1], over all pixels. A photo that the
-    fit saw is rendered with the final view of the fit, so its error is the one the fit printed. A held-out
-    photo has its calibration and the flash offset of the fit; a further line has these for all photos.
-    Burn-in is the share of the variance of a map that follows the highlights of the photos of the fit
-    (without a fit.json: of the photos given).
+    Map RMSE follows common practice: diffuse and specular gamma-encoded, roughness as stored, and the normal
+    as (n + 1) / 2. Re-rendering RMSE is in display values clipped to [0, 1], over all pixels. A photo that
+    the fit saw is rendered with the final view of the fit, so its error is the one the fit printed. A
+    held-out photo is rendered with its calibrated view and the flash offset of the fit. A further line gives
+    the error of all photos rendered so. Burn-in is the share of the variance of a map that follows the
+    highlights of the photos of the fit (without a fit.json: of the given photos).
 
-    The calibration of held-out photos has errors unknown to any fit. --refine-views also refines the camera,
-    flash and exposure of each photo within priors, measures again, and prints how far they moved.
+    No fit knows the calibration errors of held-out photos. --refine-views also refines the camera, flash and
+    exposure of each photo within priors, measures again, and prints how far they moved.
     """
     if (reference is None) == (capture is None):
         raise ConfigError("either --reference or --capture", "both" if reference else "neither", "give one")
@@ -95,7 +95,7 @@ def _print_errors(views: str, errors: dict, labels: Mapping[str, str]) -> None:
 
 
 def _totals(errors: dict) -> dict[str, float]:
-    """Over all photos; of photos seen and held out each its own, and none over both."""
+    """The error over all photos. With both seen and held-out photos: the error of each group instead."""
     apart = {"seen": errors["rmse_seen"], "held out": errors["rmse_held_out"]}
     return {"all": errors["rerender_rmse"]} if None in apart.values() else apart
 

@@ -34,7 +34,7 @@ def export(
         "Join opposite edges, so that the material can be repeated. The patch becomes smaller; its new side "
         "is printed."))] = False,
     side_cm: Annotated[float | None, arg(help=(
-        "Side of the patch before --tile. Default: that of the sheet in the photos, else unknown."))] = None,
+        "Side of the patch before --tile. Default: from the sheet in the photos, else unknown."))] = None,
     licence: Annotated[str | None, arg(
         metavar="TEXT", help="Licence of the material, such as CC0-1.0.")] = None,
     preview: Annotated[bool, arg(help="Omit the picture of a sphere.", help_behavior_hint="")] = True,
@@ -46,8 +46,8 @@ def export(
     """Write a material for other programs: OUT/FORMAT/, with an export.json that states what each file holds.
 
     gltf is one GLB with its textures. materialx holds a standard_surface and an OpenPBR surface. usd holds a
-    UsdPreviewSurface. mitsuba is a scene. maps are PNG files. The command prints what a format cannot
-    store: the RMSE of maps as linear^(1/2.2), and of pictures under three lights in display values.
+    UsdPreviewSurface. mitsuba holds a scene. maps holds PNG files. The command prints what a format loses:
+    the RMSE of maps as linear^(1/2.2), and the RMSE of pictures under three lights in display values.
     """
     formats = [part.strip() for part in to.split(",")]
     settings = ExportSettings(options.name_of(maps), naming, normal, bits,
@@ -84,7 +84,7 @@ def _tiled(svbrdf: SVBRDF, side: float | None) -> tuple[SVBRDF, float | None]:
 
 
 def _draw(folder: Path, svbrdf: SVBRDF) -> None:
-    """``preview.png`` and ``thumbnail.png``; without them where Mitsuba cannot run, which no format needs."""
+    """Write ``preview.png`` and ``thumbnail.png``; none if Mitsuba cannot run, since no format needs it."""
     try:
         picture = sphere(svbrdf, PREVIEW)
     except BackendError as error:

@@ -33,8 +33,8 @@ Advanced = Annotated[bool, arg(help="With --help: show all options, also those f
 # Settings of methods that help shows without --advanced.
 SHOWN = ("bsdf", "budget", "iterations", "seed", "fix", "grey_specular", "calibrate", "flash_offset", "exact",
          "noise", "preset", "pretrained")
-# Bytes a texel, and more for each photo: of memory at the peak (real photos, measured at 2048 and 4096 px),
-# and on disk.
+# Bytes for each texel, and for each texel of each photo: HELD is the peak of memory (real photos, measured at
+# 2048 and 4096 px), WRITTEN is disk space.
 HELD, WRITTEN = (200, 12), (200, 20)
 
 
@@ -43,27 +43,27 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
                           arg(help="How to fit. `fit --method gan --help` shows the options of that method.")]
         = "hierarchical",
         explain: Annotated[bool, arg(
-            help="Print what this fit omits, decides as it runs, and uses; do not fit.")] = False,
+            help="Do not fit: print what the fit would omit, decide while it runs, and use.")] = False,
         pretrain: Annotated[bool, arg(help=(
-            "First stage of --preset paper-two-stage: train the generator on the first photo; OUT is its "
-            "checkpoint, for --pretrained."))] = False,
+            "Run only the first stage of --preset paper-two-stage: train the generator on the first photo. "
+            "OUT is the checkpoint for --pretrained."))] = False,
         resume: Annotated[bool, arg(
-            help="Continue an unfinished run, else OUT; --iterations and --budget may differ.")] = False,
+            help="Continue the fit in OUT, finished or not. --iterations and --budget may differ.")] = False,
         overwrite: Overwrite = False, strict: Strict = False, advanced: Advanced = False) -> int:
     """Recover the maps of a material from photos.
 
     `mitsvbrdf fit photos/ -o out` is enough. The default method ends by itself. Up to 1024 px it begins
-    no step that would end after 120 s (--budget). It shows rmse, the re-rendering error so far, and cost,
-    which it minimises: squared errors over the noise plus distances from expected values, the mean of all
-    texels. Cost has no unit and can rise in a new round.
+    no step that would end after 120 s (--budget). It shows two numbers. rmse is the re-rendering error so
+    far. cost is what it minimises, a mean over all texels: squared errors relative to the noise, plus
+    distances from expected values. cost has no unit and can rise in a new round.
 
-    Hold photos out with --views 0,1,2,3,5,6,8 and predict them with `mitsvbrdf evaluate out --capture photos/
-    --views 4,7`: the honest test of a fit. The paper's method is --method gan --preset paper-one-stage;
-    --iterations 500 shortens it. --fix normal=flat --fix specular=0.04 --fix diffuse=map.exr hold known maps.
+    To test a fit honestly, hold photos out with --views 0,1,2,3,5,6,8, and predict them with `mitsvbrdf
+    evaluate out --capture photos/ --views 4,7`. The paper's method is --method gan --preset paper-one-stage,
+    shorter with --iterations 500. --fix normal=flat --fix specular=0.04 --fix diffuse=map.exr fix known maps.
 
-    Ctrl-C ends the fit and keeps its best result. OUT holds report.html, the page to look at, maps/,
+    Ctrl-C ends the fit and keeps its best result. OUT holds the page report.html to look at, maps/,
     uncertainty/, guess/, photos/, rerendered/, sheet.png, scene.xml (for plain Mitsuba), fit.json,
-    report.json and the checkpoint for --resume; with --detail gan also detail/ and its page, detail.html.
+    report.json and the checkpoint for --resume. With --detail gan it also holds detail/ and detail.html.
     """
     if pretrain:
         return _pretrain(capture, out, config, shared, overwrite)
@@ -125,7 +125,7 @@ def _explain(task: FitTask, options: FitOptions) -> int:
 
 def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, options: FitOptions,
               resume: bool, overwrite: bool) -> tuple[Fit, int | None]:
-    """Fit, add detail and write the result; also returns the iteration of the checkpoint resumed."""
+    """Fit, add detail and write the result. Return it, and the iteration that a resumed run starts from."""
     from ..report.folder import write_fit_files
     from ..report.live import LivePage
 
@@ -162,7 +162,7 @@ def _say_detail(result: Fit) -> None:
 
 
 def _say_result(result: Fit, shots: Capture, before: int | None) -> None:
-    """Errors, how it ended, how sure it is, and its warnings; ``before`` is the iteration gone on from."""
+    """Print errors, how the fit ended, uncertainty and warnings; a resumed run began at ``before``."""
     moved = result.calibrated_rmse is not None
     print_numbers(f"Re-rendering RMSE{', views as fitted' if moved else ''}",
                   dict(zip(shots.names, result.per_photo)) | {"all": result.rerender_rmse})
@@ -192,16 +192,16 @@ def _say_result(result: Fit, shots: Capture, before: int | None) -> None:
 
 
 def _deviation(median: float) -> str:
-    """Of texels whose photos refuse their answer no more is known than that they are not determined."""
+    """A median of DETERMINED is only a lower bound: the photos of such texels contradict their maps."""
     return f"±{median:.3f}" if abs(median - DETERMINED) > 1e-6 else f"at least ±{median:.3f}"
 
 
 def settings(arguments: Sequence[str], usual: FitConfig | None = None) -> FitConfig:
-    """The settings whose fields are the options: of the method, and its preset, that the arguments name.
+    """The settings of the method and the preset that the arguments name. Their fields are the options.
 
     Args:
         arguments: of the command line. With --help and without --advanced, only usual options are shown.
-        usual: settings that the arguments change. Default, and for another method: that method's defaults.
+        usual: settings that the arguments change. If None or of another method: the method's defaults.
     """
     asked = _asked(arguments)
     kind = METHODS[asked.method or (method_name(usual) if usual else next(iter(METHODS)))]
@@ -224,9 +224,9 @@ def _usual_only(config: FitConfig) -> FitConfig:
 
 
 def with_flags(arguments: Sequence[str]) -> list[str]:
-    """Arguments with --exact, --no-exact and the like as True and False. Unsaid, the fit decides.
+    """Write flags like --exact and --no-exact as options with True or False. Without one, the fit decides.
 
-    A flag that the method lacks stays as it was typed: the parser names it.
+    A flag that the method does not have stays as it was typed: the error of the parser then names it.
     """
     found: list[str] = []
     hints = get_type_hints(type(settings(arguments)))
@@ -239,7 +239,7 @@ def with_flags(arguments: Sequence[str]) -> list[str]:
 
 
 def _asked(arguments: Sequence[str]) -> argparse.Namespace:
-    """What decides which options exist: method, preset, help. Wrong values are for the main parser."""
+    """Read what decides which options exist: method, preset, help. The main parser reports wrong values."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--method")
     parser.add_argument("--preset")

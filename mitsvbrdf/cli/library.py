@@ -19,14 +19,14 @@ def library(
     search: Annotated[str, arg(metavar="TEXT", help=(
         "Only materials with this text in name, tags, source, method, host, options or reason."))] = "",
     state: Annotated[Literal["all", "done", "failed", "replaced"], arg(
-        help="Only materials in this state; replaced: those that a newer one took the place of.")] = "all",
+        help="Only materials in this state. replaced: those that a newer one has replaced.")] = "all",
     verify: Annotated[bool, arg(help="Hash all files again, and say which have changed.")] = False,
     as_json: Annotated[bool, arg(name="json", help="Print rows as JSON, one a line.")] = False,
 ) -> int:
     """Look through a library of materials: list or check what `mitsvbrdf batch` made.
 
     `mitsvbrdf library LIBRARY --search wood --state done` lists some of them. The page LIBRARY/index.html
-    shows them all, and LIBRARY/library.json is for pandas. The exit code of --verify is 1 where a file has
+    shows them all, and LIBRARY/library.json is for pandas. With --verify the exit code is 1 if a file has
     changed.
     """
     results = ResultStore(folder)

@@ -27,14 +27,14 @@ if TYPE_CHECKING:
     from ..views import Falloff, Views
 
 Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
-Overwrite = Annotated[bool, arg(help="Replace earlier results, also export/ and relight/ made of them.")]
+Overwrite = Annotated[bool, arg(help="Replace earlier results. Remove export/ and relight/ made from them.")]
 JsonFile = Annotated[Path | None, arg(name="json", help="Write all figures to this file.")]
 Reference = Annotated[str | None, arg(help="Known maps: a folder, a .glb file or builtin:NAME.")]
-# Commands with this parameter run inside errors.strict: see cli.command.
-# How the files of --reference are read, and those of MAPS in a command without it.
+# Commands with Strict run inside errors.strict: see cli.command.
+# MapEncoding and MapNormal: how the files of --reference are read; without it, the files of MAPS.
 MapEncoding = UseAppendAction[Annotated[tuple[str, ...], arg(metavar="NAME=CODE", help=(
-    "Encoding of known maps of 8 or 16 bits, whatever they state: linear, srgb or gamma2.2, for each or all; "
-    "normal=dx or normal=gl. May be repeated."))]]
+    "Encoding of known 8- or 16-bit maps, in place of the stated one: linear, srgb or gamma2.2, for one map "
+    "(NAME=) or all; normal=dx or normal=gl. May be repeated."))]]
 MapNormal = Annotated[Literal["auto", "gl", "dx"], arg(help=(
     "Normals of known maps. dx: DirectX, +Y down. auto: as stated, else found from the slopes."))]
 Strict = Annotated[bool, arg(help="Refuse damaged photos and maps. Default: mend them with a warning.")]
@@ -43,7 +43,7 @@ ViewList = Annotated[str | None, arg(metavar="0,1,2,...", help="Numbers of photo
 Material = Annotated[str, arg(metavar="MAPS", help=(
     "The OUT of a fit (OUT/detail for its plausible detail), a folder of maps, a .glb file, or builtin:NAME "
     "(inlay, tiles, leather, plates)."))]
-ViewSource = Annotated[str, arg(help="A capture with the views, or builtin:grid (nine from two sides away).")]
+ViewSource = Annotated[str, arg(help="A capture with the views, or builtin:grid (nine, 2 patch sides away).")]
 Photos = Annotated[Path, arg(metavar="CAPTURE", help=(
     "A folder of photos, calibrated or plain; see docs/formats.md."))]
 TransferChoice = Literal["auto", Transfer]
@@ -51,12 +51,12 @@ TransferOption = Annotated[TransferChoice, arg(help=(
     "How photos encode light. auto: as the capture states, else gamma2.2 for calibrated captures and srgb "
     "for plain photos."))]
 FittedTransfer = Annotated[TransferChoice, arg(help=(
-    "Encoding of light in photos. auto: as in a fit of these photos, else as the capture states."))]
+    "Encoding of light in photos. auto: as in a fit to these photos, else as the capture states."))]
 FalloffOption = Literal["auto", "inverse-square", "none"]
 
 
 def folder_of_its_own(out: Path, what: str) -> ConfigError:
-    """The error for results among the photos or maps that a command reads."""
+    """The error of a command whose results would lie among the photos or maps that it reads."""
     got = f"{out}, which holds the {what}"
     return ConfigError("an output folder of its own", got, "choose another folder")
 
@@ -75,7 +75,7 @@ def keep_apart_from_maps(maps: str, out: Path) -> None:
 
 
 def folder_inside(maps: str, name: str) -> Path:
-    """A folder for results that no user named; a link, a name that leads elsewhere, or a file raises."""
+    """The default folder for results, inside maps. Raises if maps is no folder, or a link is in the way."""
     if maps.startswith("builtin:") or Path(maps).is_file():
         raise ConfigError(f"an output folder beside {maps}, which is no folder", "none", "add -o FOLDER")
     found = files.inside(Path(maps), name)
@@ -86,7 +86,7 @@ def folder_inside(maps: str, name: str) -> Path:
 
 
 def name_of(maps: str) -> str:
-    """Name of a material: NAME of ``builtin:NAME``, else the folder of its fit; with detail NAME-detail."""
+    """Name of a material: NAME of ``builtin:NAME``, else that of its folder, with -detail for detail maps."""
     if maps.startswith("builtin:"):
         return maps.removeprefix("builtin:")
     folder = Path(os.path.abspath(maps))
@@ -99,14 +99,14 @@ def name_of(maps: str) -> str:
 
 def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str | Path | None] = (),
                     photos: str | Path | None = None) -> None:
-    """Refuse, before any work is done, files to write that exist or could not be written.
+    """Refuse output files that exist or cannot be written, before any work is done.
 
-    --overwrite replaces an existing one, but never what is ``read``, nor part of a result folder. Nothing is
-    written among the photos of a capture. None was not asked for.
+    With ``overwrite`` an existing file is replaced, but never a file that is ``read``, nor a part of a result
+    folder. Nothing is written among the photos of a capture. An output of None was not asked for.
 
     Raises:
-        OutputError: one is there, or cannot be written.
-        ConfigError: two are the same file, or one is part of what is read, or of a result.
+        OutputError: a file exists already, or cannot be written.
+        ConfigError: two outputs are the same file, or an output is part of what is read, or of a result.
     """
     files.check_output(*outputs)
     sources, earlier = {os.path.realpath(path) for path in (*read, photos) if path}, list[Path]()
@@ -126,13 +126,13 @@ def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str |
 
 
 def _photo_folders(capture: Path) -> set[str]:
-    """Where the photos of a capture lie: its folder, or that of its JSON file, and target/ in it."""
+    """The folders of the photos of a capture: the folder of the capture or its JSON file, and its target/."""
     capture = capture.parent if capture.is_file() else capture
     return {os.path.realpath(path) for path in (capture, capture / "target")}
 
 
 def chosen(option: str, text: str, choices: Collection[str]) -> list[str]:
-    """The words of a text, commas between them; ConfigError for none, and for one that is no choice."""
+    """Split a text at its commas into words. ConfigError: there is no word, or one that is no choice."""
     found = list(dict.fromkeys(part.strip() for part in text.split(",") if part.strip()))
     for each in found or ["none"]:
         if each not in choices:
@@ -148,13 +148,13 @@ def check_side(resolution: int | None) -> None:
 
 def read_photos(capture: Path, resolution: int, views: str | None, transfer: TransferChoice,
                 falloff: Falloff) -> Capture:
-    """The photos as asked for, with what was noticed about them said."""
+    """Read the photos as asked for, and print the notes about them."""
     from ..capture import read_capture
     from ..views import photo_numbers
 
     check_side(resolution)
     with ExitStack() as open_bar:
-        # plain photos alone report
+        # only plain photos report progress
         bar = functools.cache(lambda: open_bar.enter_context(progress_bar("capture")))
         shots = read_capture(capture, resolution=resolution, index=photo_numbers(views), falloff=falloff,
                              transfer=None if transfer == "auto" else transfer,
@@ -203,7 +203,7 @@ def views_of(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[lis
 
 
 def fit_of_maps(maps: str | None) -> Fit:
-    """The fit that maps come from; one without a record where there is none, as for ``builtin:NAME``."""
+    """The fit that maps come from. If there is none, as for ``builtin:NAME``: a fit without a record."""
     from ..fit.result import Fit
 
     return Fit() if maps is None or maps.startswith("builtin:") else Fit.of_maps(maps)

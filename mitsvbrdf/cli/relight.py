@@ -51,7 +51,7 @@ def relight(
 
     Stills become EXR and PNG files, movies MP4 and GIF. relight.json holds the estimated error of each frame.
 
-    Ctrl-C keeps the finished frames and the current one as it is. The same command with --resume goes on.
+    Ctrl-C keeps finished frames, and the current one with fewer samples. --resume continues the same command.
     """
     from ..fit.checkpoint import digest
     from ..fit.config import check_seed

@@ -1,4 +1,4 @@
-"""Old names of commands and options: they work for one version, hidden in help, and say their new name."""
+"""Old names of commands and options: help hides them; they work for one version and print the new name."""
 
 import sys
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ RENAMED: dict[str, dict[str, str]] = {"fit": FIT, "batch": FIT, "bench": {"--lef
 
 
 def with_new_names(arguments: Sequence[str]) -> list[str]:
-    """Arguments with old names of commands and options replaced, each said once on standard error.
+    """Replace old names of commands and options in the arguments; print each once on standard error.
 
     Only whole words change: the value of ``--name=--detail-spread`` stays, and so does all after ``--``.
     """

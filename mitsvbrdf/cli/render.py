@@ -24,7 +24,7 @@ def render(
     transfer: Annotated[options.TransferOption,
                         arg(help="Transfer function of the PNG files. auto: as in the fit.")] = "auto",
     diffuse: Annotated[Literal["fitted", "guessed"],
-                       arg(help="guessed: the fit's guessed diffuse map instead (paper IV.B).")] = "fitted",
+                       arg(help="guessed: use the guessed diffuse map of the fit (paper IV.B).")] = "fitted",
     variant: options.Variant = "llvm_ad_rgb", overwrite: options.Overwrite = False,
     strict: options.Strict = False,
 ) -> int:

@@ -17,7 +17,7 @@ def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder o
            quick: Annotated[bool, arg(
                help="Check only the renderer of the fit, on small maps, without timing.")] = False,
            strict: Strict = False) -> int:
-    """Write OUT/report.html, one page about a fit that opens from disk, and its numbers, OUT/report.json.
+    """Write OUT/report.html, a page about the fit that opens from disk, and OUT/report.json, its numbers.
 
     `fit` writes them too, with fewer checks. This command compares every renderer with the float64 twin, on
     the fitted maps in the views of the fit.

@@ -13,13 +13,13 @@ from .options import Overwrite, check_new_files
 def sheet(out: Annotated[Path,
                          arg(aliases=["-o"], help="File to write: .pdf, .svg or .png.")] = Path("sheet.pdf"),
           size: Annotated[float, arg(
-              help="Size of the frame of tags in cm. The patch of material is 0.64 of it.")] = 18.0,
+              help="Size of the frame of tags in cm. The side of the patch is 0.64 times this size.")] = 18.0,
           paper: Annotated[Paper, arg(help="Paper in the printer.")] = "a4",
           overwrite: Overwrite = False) -> int:
     """Write a sheet of AprilTags to print.
 
-    Print it at 100 %, cut the middle out, and lay it around the material. Measure the arrow, which is as long
-    as the frame of tags: that is the CM of `mitsvbrdf capture --sheet CM`.
+    Print it at 100 %, cut the middle out, and lay it around the material. Measure the arrow. It is as long as
+    the frame of tags: its length is the CM of `mitsvbrdf capture --sheet CM`.
     """
     from ..capture.align.sheet import write_sheet
 

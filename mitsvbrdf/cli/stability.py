@@ -21,10 +21,10 @@ VERDICT_COLOURS = {"exact": "green", "clamped": "dim", "degraded": "yellow", "li
 def stability(
     renderer: Annotated[Literal["all", "analytic", "mitsuba", "mitsuba-scene"],
                         arg(help="Which renderer to examine.")] = "all",
-    only: Annotated[tuple[Sweep, ...], arg(help="Run these sweeps alone.")] = (),
+    only: Annotated[tuple[Sweep, ...], arg(help="Run only these sweeps.")] = (),
     json_file: JsonFile = None, variant: Variant = "llvm_ad_rgb", overwrite: Overwrite = False,
 ) -> int:
-    """Sweep every parameter to its ends and give a verdict on each renderer.
+    """Sweep every parameter to the ends of its range, and give a verdict on each renderer.
 
     Each case compares image and gradients with float64. The JSON file also holds condition numbers. All
     sweeps take about two minutes. The exit code is 1 when a value is not finite or a verdict is worse than

@@ -29,14 +29,14 @@ def synth(
     material: Positional[options.Material], out: options.Out, phone: OmitArgPrefixes[HandheldPhone] = PHONE,
     handheld: Annotated[bool, arg(help=(
         "Take raw photos with a simulated phone, for `mitsvbrdf capture`: OUT/IMG_0001.jpg and so on, and "
-        "the truth in OUT/truth. The options of the phone need this one."))] = False,
+        "the truth in OUT/truth. The options of the phone need --handheld."))] = False,
     spoil: Annotated[str, arg(metavar="KIND,KIND,...", help=(
         "With --handheld: add photos of the kinds blurred, finger, noflash, duplicate, rotated, unrelated."))
         ] = "",
     encoding: options.MapEncoding = (), normal: options.MapNormal = "auto",
     views: options.ViewSource = "builtin:grid",
     resolution: Annotated[int | None, arg(help=(
-        "Side of the photos in pixels; with --handheld side of builtin maps. Default: 256; with "
+        "Side of the photos in pixels. With --handheld: side of built-in maps. Default: 256, with "
         "--handheld 1024."))] = None,
     noise: Annotated[float, arg(help=(
         "Standard deviation of the sensor noise of rectified photos, in linear radiance."))] = 0.0,

@@ -21,8 +21,8 @@ def evaluate_maps(svbrdf: SVBRDF, material: str | Path, encoding: str | None = N
 
     Args:
         svbrdf: the estimate.
-        encoding: of its files, as ``load_maps`` has it.
-        normal: the convention of its normals, likewise.
+        encoding: of the files of known maps, as in ``load_maps``.
+        normal: the convention of the known normals, as in ``load_maps``.
 
     Returns:
         ``diffuse``, ``specular``, ``roughness``, ``normal`` and their ``mean``.
@@ -41,12 +41,12 @@ def evaluate_capture(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
         capture: the photos; they need not be those of the fit.
         flash_offset: (x, y) of the flash beside the lens in patch sides, as a fit found it; None leaves the
             views alone.
-        priors: how far the views may be off, to measure with refined ones too
+        priors: how far the views may be off; if given, refined views are measured, too
             (:mod:`mitsvbrdf.calibrate.refine`).
 
     Returns:
-        ``rerender_rmse`` over all photos and ``per_photo`` by name. With priors, the same again in
-        ``refined``, which also has ``views``: by photo, ``change`` and ``deviation`` of each unknown.
+        ``rerender_rmse`` over all photos and ``per_photo`` by name. With priors, ``refined`` has the same for
+        refined views, and ``views``: by photo, ``change`` and ``deviation`` of each unknown.
     """
     material = svbrdf.resized(capture.resolution)
 

@@ -1,4 +1,4 @@
-"""The maps of a fit against photos: errors with the views they belong to, seen and held-out photos apart.
+"""The maps of a fit against photos, each in the view that belongs to it; seen and held-out photos apart.
 
 :func:`compare` does the same for maps of several methods.
 """
@@ -26,19 +26,19 @@ def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Render
                     priors: Priors | None = None) -> dict:
     """Errors of the re-rendered photos in display values.
 
-    Views are :func:`fitted_views`. They make an error smaller that maps without a ``fit.json`` cannot have,
-    so what :func:`mitsvbrdf.evaluate.evaluate_capture` finds stands beside it.
+    Views are :func:`fitted_views`. They make the error smaller, and maps without a ``fit.json`` lack them. So
+    the errors of :func:`mitsvbrdf.evaluate.evaluate_capture` stand beside it.
 
     Args:
         svbrdf: the material, of any resolution.
-        fit: how it saw its photos; the defaults for maps without a ``fit.json``.
+        fit: its views and light are used; the defaults for maps without a ``fit.json``.
         capture: N photos, as :func:`~mitsvbrdf.evaluate.placement.placed` leaves them.
-        priors: measure a third time, with views refined beside frozen maps.
+        priors: if given, measure a third time, with refined views and frozen maps.
 
     Returns:
         ``views`` (in words), ``fitted_views`` and ``held_out`` (names of photos), ``rerender_rmse``,
-        ``per_photo``, ``rmse_seen`` and ``rmse_held_out`` (None without such photos); ``calibrated`` and
-        ``refined`` (None without priors) have these four and ``views``, too.
+        ``per_photo``, ``rmse_seen`` and ``rmse_held_out`` (None without such photos). ``calibrated`` and
+        ``refined`` (None without priors) also have these four errors, and ``views``.
     """
     views, fitted = fitted_views(fit, capture)
     here = fit.of(capture)
@@ -64,7 +64,7 @@ def evaluate_fit(fit: Fit, capture: Capture) -> dict:
     """Errors of a fit on photos of its capture or on others, as :func:`evaluate_photos` returns them.
 
     Photos are placed by :func:`~mitsvbrdf.evaluate.placement.placed`, and rendered by the fit's renderer in
-    light that falls off as in the fit. ConfigError: it had none of ours.
+    light that falls off as in the fit. ConfigError: the fit had no renderer of ours.
     """
     engine = fit.engine()
     if engine is None:
@@ -96,29 +96,29 @@ class Entry:
     name: str  # the method, as captions call it
     folder: str  # where its maps were read from
     svbrdf: SVBRDF  # its maps, of any resolution
-    fit: Fit = field(default_factory=Fit)  # how it saw its photos; the defaults for maps without a fit.json
+    fit: Fit = field(default_factory=Fit)  # for its views and light; the defaults for maps without a fit.json
 
 
 def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_errors: MapErrors
             | None = None, transfer: color.Transfer | None = None, priors: Priors | None = None,
             index: Sequence[int] | None = None) -> tuple[dict, list[Tensor]]:
-    """Measure every method at the photos' resolution, to which maps are brought.
+    """Measure every method at the resolution of the photos. Maps are resized to it.
 
     Args:
         entries: one or more, each with a name of its own.
-        map_errors: gives the RMSE of maps against known ones, by map; None where none are known.
+        map_errors: gives the RMSE of each map against the known one; None if no maps are known.
         transfer: how display values encode radiance; None: see :func:`placed`.
-        priors: measure a third time, with views refined beside frozen maps, which treats all methods alike.
+        priors: if given, measure a third time, with refined views and frozen maps: alike for all methods.
         index: numbers of the N photos to show; None: all. Where views are unknown, all photos help to
             estimate them.
 
     Returns:
         The record, ready for JSON, and for each method the pictures N x R x R x 3 in display values. An entry
-        of ``methods`` has how the maps and the fit are, ``map_rmse`` (or None), and what
+        of ``methods`` describes the maps and the fit, and has ``map_rmse`` (or None) and what
         :func:`evaluate_photos` returns.
 
     Raises:
-        ConfigError: no entry, or a name that stands twice.
+        ConfigError: there is no entry, or two entries have one name.
     """
     names = [one.name for one in entries]
     if not names or len(set(names)) < len(names):

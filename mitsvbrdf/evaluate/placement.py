@@ -1,4 +1,4 @@
-"""Where the lights of a fit stand when its photos, or others, are rendered again."""
+"""The views and lights that the photos of a fit, or other photos, are rendered again with."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -20,17 +20,17 @@ from ..views import Falloff, Views, nine_view_grid, shift_lights
 
 
 def placed(capture: Capture, fit: Fit, transfer: color.Transfer | None = None) -> Capture:
-    """A capture that states no views, with views estimated from all of its photos; any other with its own.
+    """The capture with its stated views. If it states none, views are estimated from all of its photos.
 
-    Where the fit saw some of these photos, all are moved together until those are, in the mean, where the fit
-    has them: sideways by an offset, heights and light power by a factor. So photos that it did not see can be
-    predicted, though nothing but the photos themselves says where they were taken. A fit that took the
-    default geometry is shown with that. Stated views are read as the fit was told to; of them the light power
-    alone changes, where the fit's maps told another one. All have the fit's response curve.
+    If the fit saw some of these photos, all estimated views are moved together until the views of the seen
+    photos agree with the fit in the mean: sideways by an offset, heights and light power by a factor. So
+    unseen photos can be predicted, though only the photos themselves tell where they were taken. A fit that
+    took the default geometry is shown with it. Stated views are read as the fit was told to. Only their light
+    power changes, if the maps of the fit told another one. All photos have the response curve of the fit.
 
     Args:
         capture: all photos, those held out and those it saw.
-        transfer: how display values encode radiance; None: as the fit took it, of other captures as stated.
+        transfer: how display values encode radiance; None: as in the fit, for other captures as stated.
 
     Raises:
         CaptureError: the fit estimated views, and these photos do not allow it.
@@ -64,10 +64,10 @@ def placed(capture: Capture, fit: Fit, transfer: color.Transfer | None = None) -
 
 
 def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
-    """The views to show a fit's maps with, and the names of the photos whose view is the fit's.
+    """The views to render a fit's maps with, and the names of the photos that have a view of the fit.
 
-    These are the photos that it saw, where it was fitted to this capture; the others have the capture's view
-    and the flash offset of the fit. Lengths are in patch sides.
+    Photos that the fit saw have its view, if it was fitted to this capture. All other photos have the view of
+    the capture and the flash offset of the fit. Lengths are in patch sides.
     """
     views = shift_lights(capture.views, fit.flash_offset).in_patch_sides()
     if fit.known_views is None or not fit.of(capture):
@@ -82,8 +82,8 @@ def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
 
 
 def named_views(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views, list[str]]:
-    """Names and views of a capture (:func:`placed`; of a photo that states none as the fit moved them) or of
-    ``builtin:grid``; and what was noticed.
+    """Names and views of a capture (from :func:`placed`; if its views are neither stated nor estimated, from
+    :func:`fitted_views`) or of ``builtin:grid``; and notes.
     """
     if source == "builtin:grid":
         views = replace(nine_view_grid(), falloff=falloff)
@@ -98,8 +98,8 @@ def named_views(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[
 
 def predict(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
             flash_offset: tuple[float, float] | None) -> tuple[Tensor, float, list[float]]:
-    """Photos that a fit did not use, as :func:`mitsvbrdf.evaluate.evaluate_capture` renders them: linear
-    radiance N x R x R x 3, RMSE over all in display values, and that of each.
+    """Photos that a fit did not use, rendered as in :func:`mitsvbrdf.evaluate.evaluate_capture`: linear
+    radiance N x R x R x 3, the RMSE over all photos in display values, and the RMSE of each photo.
     """
     material, lit = svbrdf.resized(capture.resolution), shift_lights(capture.views, flash_offset)
     found = [rerender(renderer, material, lit.pick([k]), capture.pick([number]))

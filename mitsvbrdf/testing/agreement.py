@@ -31,16 +31,16 @@ def assert_renderers_agree(
         maps: the material, float32; :func:`random_material` is a hard one.
         renderers: names, or objects with ``name`` and ``render(svbrdf, views)`` like
             :class:`mitsvbrdf.render.Renderer`.
-        image_mean: see :class:`Limits`; default: what :data:`LIMITS` says of the renderer, as for the next
-            two.
+        image_mean: see :class:`Limits`. The default of all three limits is the entry of the renderer in
+            :data:`LIMITS`.
         image_p999: see :class:`Limits`.
         gradients: see :class:`Limits`.
         reference: what to compare with.
 
     Raises:
-        AssertionError: naming renderer, image or map, figure, limit, and a page that shows where.
-        ConfigError: limits left out for a renderer that is not ours; an image without the gradients asked
-            for.
+        AssertionError: they differ. The message names renderer, image or map, figure, limit, and a page that
+            shows where.
+        ConfigError: limits are left out for a renderer that is not ours, or gradients asked for are missing.
     """
     __tracebackhide__ = True
     engines = [make_renderer(r) if isinstance(r, str) else r for r in (reference, *renderers)]

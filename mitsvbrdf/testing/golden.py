@@ -35,8 +35,8 @@ def assert_matches_golden(result: Tensor | SVBRDF, name: str, *, rtol: float = 1
 
     Args:
         result: a linear picture H x W x 3, views N x H x W x 3, or a material.
-        name: of the golden file, without suffix: letters, digits, ``-``, ``_`` and ``.``, 100 at most; each
-            once within the test file.
+        name: of the golden file, without suffix: letters, digits, ``-``, ``_`` and ``.``, 100 at most. A test
+            file has each name once.
         rtol: a value may be off by ``atol + rtol |golden value|``. The defaults fit float32 renderers on one
             machine or another; ``math.inf`` leaves the decision to ``flip``.
         atol: see ``rtol``; linear units.
@@ -115,7 +115,7 @@ def _compared(name: str, layers: Layers, golden: Layers, rtol: float, atol: floa
 
 
 def _excess(value: Tensor, golden: Tensor, rtol: float, atol: float) -> Tensor:
-    """Differences over what is allowed, float64; 0 where there is none."""
+    """Differences divided by the tolerance, float64; 0 where there is no difference."""
     off = (value.double() - golden.double()).abs()
     return torch.where(off > 0, off / (atol + rtol * golden.double().abs()), 0.0)
 

@@ -44,7 +44,7 @@ class Row(NamedTuple):
 
 def failure(title: str, figures: Sequence[Figure], rows: Sequence[Row], notes: Sequence[str] = (),
             suffix: str = ".html") -> AssertionError:
-    """The error to raise, naming figures beyond their limits, with the page of all figures written."""
+    """Write the page of all figures. Return the error to raise: it names the figures beyond their limits."""
     lines = [title, *(f"  {f.name}: {f.value:.3g}, limit {f.limit:.3g}" for f in figures if f.missed),
              *(f"  {note}" for note in notes)]
     page = left_behind(suffix, lambda path: write_page(
@@ -54,7 +54,7 @@ def failure(title: str, figures: Sequence[Figure], rows: Sequence[Row], notes: S
 
 
 def left_behind(suffix: str, write: Callable[[Path], None]) -> str:
-    """Write a file of the running test, ``DIR/TEST-HASH.SUFFIX``; its path, or why there is none."""
+    """Write a file of the running test, ``DIR/TEST-HASH.SUFFIX``. Return its path, or why it is missing."""
     test, folder = running.now.test, running.now.report.resolve()
     name = re.sub(r"[^\w.]+", "-", test)[-100:].strip("-.")
     path = folder / f"{name}-{hashlib.sha256(test.encode()).hexdigest()[:8]}{suffix}"
@@ -76,7 +76,7 @@ def view_rows(new: Tensor, reference: Tensor, whose: str) -> list[Row]:
 
 
 def row(title: str, new: Tensor, reference: Tensor | None, show: Callable[[Tensor], Tensor]) -> Row:
-    """New and reference (H x W x C, linear; None: new alone), and where they differ; display by ``show``."""
+    """New and reference (H x W x C, linear; None: only new), and their difference; ``show`` displays them."""
     given = {"new": new} if reference is None else {"new": new, "reference": reference}
     pictures = [(name, png_uri(at_most(_marked(show(x.float()), x), PICTURE_SIDE)))
                 for name, x in given.items()]
@@ -86,13 +86,13 @@ def row(title: str, new: Tensor, reference: Tensor | None, show: Callable[[Tenso
 
 
 def gradient_row(title: str, new: Tensor, reference: Tensor) -> Row:
-    """Lengths of the gradients of a map (H x W x C) over its channels, and of their difference."""
+    """Lengths, over the channels, of both gradients of a map (H x W x C) and of their difference."""
     return Row(title, [heat(name, gradient.double().norm(dim=-1)) for name, gradient in (
         ("new", new), ("reference", reference), ("difference", new.double() - reference))])
 
 
 def heat(name: str, size: Tensor) -> tuple[str, str]:
-    """Caption and picture of sizes H x W on a log scale of four decades; what is not finite is brightest."""
+    """Caption and picture of sizes H x W, log scale of four decades; values not finite are brightest."""
     high = float(size[torch.isfinite(size)].max()) if torch.isfinite(size).any() else 1.0
     if max(size.shape) > PICTURE_SIDE:  # shrunk so that a single bad pixel stays visible
         size = F.adaptive_max_pool2d(size[None], shrunk(size, PICTURE_SIDE))[0]

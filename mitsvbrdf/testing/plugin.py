@@ -1,4 +1,4 @@
-"""The pytest plugin: two options, and the calling test's file for golden images.
+"""The pytest plugin: two options, and the file of the running test for golden images.
 
 pytest loads it in every project of an environment where this package is installed, so it imports nothing
 heavy. Its entry point has the module's name: pytest then loads it once, whether through the entry point,
@@ -44,6 +44,6 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:
-    """Name the golden files that were written: they want a look before they are committed."""
+    """Name the golden files that were written. Look at them before you commit them."""
     for path in config.stash[SUITE].written:
         terminalreporter.write_line(f"mitsvbrdf: wrote {path}")

@@ -9,10 +9,10 @@ class Running:
     """A test that runs, and the options of its suite."""
 
     test: str = "comparison"  # as pytest names it
-    file: Path | None = None  # that it stands in; None outside pytest
+    file: Path | None = None  # the file of the test; None outside pytest
     update: bool = False  # new results become golden files
     report: Path = Path(".mitsvbrdf-report")  # folder for the pages of failed comparisons
     written: list[Path] = field(default_factory=list)  # golden files made or replaced in this suite
 
 
-now = Running()  # a stand-in without a file where the plugin is not at work
+now = Running()  # a default without a file, for runs without the plugin

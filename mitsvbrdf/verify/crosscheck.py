@@ -1,8 +1,8 @@
 """Every renderer and BSDF against the float64 twin: images, gradients and run time in one run.
 
-Figures are counted over the texels of roughness 0.1 and more (``rough``), where
-:data:`~mitsvbrdf.measure.tolerances.TOLERANCES` hold, and over those below (``smooth``), each beside what
-float32 allows there (:mod:`mitsvbrdf.verify.float32_limits`).
+Figures are computed over the texels of roughness 0.1 and more (``rough``), where
+:data:`~mitsvbrdf.measure.tolerances.TOLERANCES` hold, and over the texels below (``smooth``). Each figure has
+the limit of float32 beside it (:mod:`mitsvbrdf.verify.float32_limits`).
 """
 
 import math
@@ -41,9 +41,9 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
     """Compare renderers with the float64 twin on every material and BSDF.
 
     Args:
-        svbrdf_by_name: materials, float32; one of the other BSDF is converted by
+        svbrdf_by_name: materials, float32. A material of another BSDF is converted by
             :func:`mitsvbrdf.material.corner_cases.as_bsdf`.
-        repeats: timed passes of each configuration, in turn with all others.
+        repeats: timed passes of each configuration. The configurations take turns.
         names: of the views; default: 00, 01, ...
         transfer: how display values encode light.
         error_maps: filled with the relative error of each configuration's worst view, R x R, largest channel,
@@ -97,9 +97,9 @@ class _Case:
         self.classes = {"rough": rough, "smooth": ~rough}
 
     def compare(self, renderer: Renderer) -> tuple[dict, Tensor]:
-        """A renderer's part of the record but for run times, and the error map of its worst view."""
+        """A renderer's part of the record without the run times, and the error map of its worst view."""
         got = render_and_gradients(renderer, self.svbrdf, self.views)
-        # as it is shown: a metallic map that wants its slope at 1 adds a rounding to dark texels
+        # as shown, without gradients: a metallic of 1 that requires a gradient adds a rounding to dark texels
         with torch.no_grad():
             image = renderer.render(self.svbrdf, self.views)
         off = relative_error(image, self.exact.image)
@@ -155,7 +155,7 @@ def _seconds(renderer: Renderer, svbrdf: SVBRDF, views: Views) -> tuple[float, f
 
 
 def _finite(figures: dict) -> dict:
-    """The figures with None for those that are not finite, which JSON does not have."""
+    """The figures, with None in place of values that are not finite: JSON cannot hold these."""
     return {name: value if math.isfinite(value) else None for name, value in figures.items()}
 
 
@@ -209,7 +209,7 @@ def _summary_row(group: list[dict], texels: str) -> dict:
 
 
 def omitted(record: dict) -> list[dict]:
-    """What was omitted and why, once each, ``by`` which renderers (and BSDF, where only one)."""
+    """What was omitted and why, once each; ``by`` names renderers, and BSDFs if not all omit it."""
     found: dict[tuple[str, str], list[dict]] = {}
     for configuration in record["configurations"]:
         for each in configuration["omitted"]:
@@ -251,6 +251,6 @@ def _exceeded(configuration: dict) -> list[dict]:
         found += [(f"{what}: relative L2", gradient["relative_l2"], stated["relative_l2"],
                    rough["limit"]["gradients"][name]),
                   (f"{what}: 1 - cosine", turned, stated["1 - cosine"], None)]
-    # a missing figure is not finite, which is counted apart
+    # a figure of None was not finite; such values are counted apart
     return [dict(zip(("what", "value", "tolerance", "limit"), row)) for row in found
             if row[1] is not None and row[1] > row[2]]

@@ -1,15 +1,15 @@
 """How accurate float32 can be at a texel.
 
-Float32 knows a direction to about one rounding, u = 2^-24 rad: a normal stored as (n + 1) / 2 is rounded by
-up to 2^-25 a component and doubled when it is read. Turned by u, it changes a number L by u |dL/dn|, with
-dL/dn in the tangent plane. The float64 twin gives both components: its normals turned by u about two
-perpendicular axes. u is large for float64 and small beside any lobe, so the second order does not count. The
-limit of the relative error is
+Float32 holds a direction to about one rounding, u = 2^-24 rad: a normal stored as (n + 1) / 2 is rounded by
+up to 2^-25 a component, and this error doubles when it is read. A normal turned by u changes a number L by
+u |dL/dn|, with dL/dn in the tangent plane. The float64 twin gives both components: all normals are turned by
+u about two perpendicular axes. u is large for float64 and small beside the width of any lobe, so the second
+order does not count. The limit of the relative error is
 
     u + u |dL/dn| / |L|
 
-with the first u for the rounding of L itself. Near a mirror direction L goes like GGX's D, whose slope
-|d log D / d angle| is 2 (1 - alpha^2) / alpha at its steepest, about alpha beside the highlight: the limit is
+with the first u for the rounding of L itself. Near a mirror direction L behaves like GGX's D. The slope
+|d log D / d angle| is 2 (1 - alpha^2) / alpha at its steepest, about alpha beside the highlight. The limit is
 u + 2 u / alpha there, 1.2e-5 at roughness 0.1, and 6e-8 where the material is rough. The same changes of a
 gradient give its limit. It is an order of magnitude, no bound: directions of view and light are rounded too
 (measured on the made and corner materials in co-located views: 8 times the limit at most), and a renderer
@@ -51,7 +51,7 @@ def float32_limit(twin: Renderer, svbrdf: SVBRDF, views: Views, exact: Measured,
 def turned_normals(svbrdf: SVBRDF, angle: float) -> tuple[SVBRDF, SVBRDF]:
     """The material in float64, every normal turned by a small angle (rad) about two perpendicular axes."""
     maps = svbrdf.to(torch.float64).maps
-    normal = maps["normal"]  # its length stays as it is: a gradient hangs on that too
+    normal = maps["normal"]  # its length is kept: a gradient depends on that, too
     x = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64).expand_as(normal)
     first = F.normalize(torch.linalg.cross(normal, x), dim=-1)  # z > 0, so a normal is never along x
     second = F.normalize(torch.linalg.cross(normal, first), dim=-1)

@@ -1,9 +1,9 @@
 """What a texel's photos say about its maps: condition numbers of Jacobians.
 
-The Jacobian is that of one texel's display values in all views (3 N rows: what a fit compares, and where
-noise is about even) with respect to its maps in units of their range: colours, metallic and roughness 1, the
-normal 1 rad in its tangent plane (9 columns for ``roughconductor``, 7 for ``principled``). Texels do not see
-each other, so one backward pass for each row, of the sum over the texels, gives that row for all of them.
+The rows of the Jacobian are one texel's display values in all views (3 N: a fit compares them, and their
+noise is about even). The columns are its map values in units of their range: 1 for colours, metallic and
+roughness, 1 rad in the tangent plane for the normal (9 for ``roughconductor``, 7 for ``principled``). Texels
+are independent, so one backward pass of the sum over the texels gives one row for all of them.
 """
 
 import math
@@ -18,16 +18,16 @@ from ...material.maps import SVBRDF
 from ...render import Renderer
 from ...views import Views
 
-# singular values below this share of the largest are none: float64 rounding is far below, any information
-# above
+# singular values below this share of the largest count as 0: float64 rounding is far below it, and any
+# information is above it
 RANK = 1e-9
 
 
 def jacobian(twin: Renderer, svbrdf: SVBRDF, views: Views,
              display: Callable[[Tensor], Tensor] = color.encode) -> Tensor:
-    """A Jacobian a texel, T x 3 N x P, float64; rows by view, then channel; columns by map.
+    """The Jacobian of each texel, T x 3 N x P, float64; rows by view, then channel; columns by map.
 
-    ``twin`` is ``analytic64``; ``display`` makes what a fit sees of linear radiance.
+    ``twin`` is ``analytic64``; ``display`` turns linear radiance into what a fit sees.
     """
     leaves = svbrdf.to(torch.float64).map(lambda t: t.detach().clone().requires_grad_())
     seen = display(twin.render(leaves, views))
@@ -49,9 +49,9 @@ def tangents(normal: Tensor) -> Tensor:
 
 
 def condition(jacobians: Tensor) -> dict[str, float | None]:
-    """Condition numbers over texels of Jacobians T x M x P: ``median`` and ``worst``, None for infinite.
+    """``median`` and ``worst`` of the condition numbers of Jacobians T x M x P, None for infinite.
 
-    With the median ``rank`` and the number of ``unknowns``.
+    Also the median ``rank`` and the number of ``unknowns``.
     """
     unknowns = jacobians.shape[2]
     values = torch.zeros(len(jacobians), unknowns, dtype=jacobians.dtype)

@@ -1,6 +1,6 @@
 """The run: every configuration through every renderer, as one record, with a verdict on each.
 
-The verdict ``clamped`` names a cut of the model.
+The verdict ``clamped`` names the clamp of the model that acts.
 """
 
 import math
@@ -28,17 +28,17 @@ from .conditioning import condition, disturbed, jacobian
 from .sweeps import SWEEPS, Case
 
 SCHEMA_VERSION = 2
-# a gradient entry of this share of its texel's is above float32's rounding: 0 in its place was put there
+# an entry above this share of its texel's gradient exceeds float32's rounding: a 0 instead was put there
 ABOVE_ROUNDING = 1e-5
 
 
 @entry(gradients=True)
 def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEPS),
               report: Report = lambda text, share: None) -> dict:
-    """Run sweeps, keys of :data:`SWEEPS`, and give a verdict on each configuration and renderer; float64 is
-    there without being asked for.
+    """Run sweeps, keys of :data:`SWEEPS`, and give a verdict on each configuration and renderer. float64 is
+    the reference, and need not be among the renderers.
 
-    Gives a record for JSON, without NaN; docs/results/stability.md shows it. ``violations`` lists what came
+    Returns a record for JSON, without NaN; docs/results/stability.md shows it. ``violations`` lists what came
     out worse than expected.
     """
     cases = [case for key in sweeps for case in SWEEPS[key][1]()]
@@ -98,7 +98,7 @@ def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
 
 
 def _figures(renderer: Renderer, case: Case, exact: Measured, photos: Tensor | None) -> dict:
-    """Errors, and values that are not finite or were made 0; or how the renderer refused."""
+    """Errors, and counts of values that are not finite or were set to 0; or why the renderer refused."""
     try:
         if photos is None or case.transfer is None:
             found = render_and_gradients(renderer, case.svbrdf, case.views)
@@ -145,21 +145,21 @@ def _limit(twin: Renderer, case: Case, exact: Measured, cotangent: Tensor | None
             for name, (change, value) in pairs.items()}
 
 
-# From best to worst: ``degraded`` is as far off as conditioning explains, ``limited`` further, for a known
-# cause and within a stated bound. The last two are never accepted, ``refused`` only of what is invalid.
+# From best to worst. ``degraded``: the error is as large as conditioning explains. ``limited``: larger, by a
+# known cause, within a stated bound. The last two are never accepted, ``refused`` only for invalid input.
 VERDICTS = ("exact", "clamped", "degraded", "limited", "refused", "wrong", "not finite")
 
 
 def verdict(figures: Mapping, limit: Mapping[str, float], clamps: Sequence[str] = (),
             known: tuple[float, str] | None = None) -> tuple[str, str]:
-    """A key of :data:`VERDICTS`, and why.
+    """One of :data:`VERDICTS`, and the reason.
 
-    ``figures`` are ``errors``, the relative L2 error of ``image`` and each map's gradient, None for infinite;
-    ``not_finite`` and ``silenced``, how many values by the same names; or ``refused``, the error message,
-    alone. ``limit`` is what one rounding of every normal changes
-    (:func:`mitsvbrdf.verify.float32_limits.float32_limit`), by the names of ``errors``; empty where it was
-    not looked at: measured errors reach a third of it where nothing else is wrong. ``clamps``: names of the
-    cuts that act; ``known``: the largest error that is known and explained, and its cause.
+    ``figures`` has ``errors``: relative L2 error of ``image`` and of each map's gradient, None for infinite.
+    It also has ``not_finite`` and ``silenced``: counts of such values, by the same names. Or it has only
+    ``refused``, the error message. ``limit`` is what one rounding of every normal changes
+    (:func:`mitsvbrdf.verify.float32_limits.float32_limit`), by the names of ``errors``; empty if it was not
+    computed. Measured errors reach a third of it where nothing else is wrong. ``clamps``: names of the clamps
+    that act; ``known``: the largest error that is known and explained, and its cause.
     """
     if "refused" in figures:
         return "refused", figures["refused"]
@@ -204,18 +204,18 @@ def _index_cut(case: Case, radiance: Tensor) -> bool:
     return bool(((f0 < F0_RANGE[0]) | (f0 > F0_RANGE[1])).any())
 
 
-# By name, as a verdict has it: whether the cut changes a value or gradient of a case of this radiance. No
-# other cut acts in the sweeps.
+# By the name in a verdict: whether the clamp changes a value or gradient of a case with this radiance. No
+# other clamp acts in the sweeps.
 CLAMPS: dict[str, Acts] = {
-    # D is 1 / (pi alpha^2) at its peak: without an end it overflows float32 at r = 1e-10, and one rounding of
-    # the normal is worth 6e-8 / alpha of it. Below, the image stays as it is and roughness has gradient 0.
+    # D is 1 / (pi alpha^2) at its peak. Without a bound it overflows float32 at r = 1e-10, and one rounding
+    # of the normal changes it by 6e-8 / alpha of D. Below, the image stays and roughness has gradient 0.
     f"alpha >= {MIN_ALPHA['roughconductor']:g}": _smoother_than("roughconductor"),
-    # The plugin's own end. Below, only the diffuse lobe answers to roughness.
+    # The bound of the plugin itself. Below, only the diffuse lobe depends on roughness.
     f"alpha >= {MIN_ALPHA['principled']:g}": _smoother_than("principled"),
     # The refractive index is infinite at F0 = 1, its slope at F0 = 0. Beyond, F is proportional to F0.
     f"index for F0 in [{F0_RANGE[0]:g}, {F0_RANGE[1]:g}]": _index_cut,
     # The power curve is vertical at 0: below the toe it is its chord, of slope 1282.
     "toe of gamma 2.2": lambda case, radiance: case.transfer == "gamma2.2" and bool((radiance < TOE).any()),
-    # A burnt-out photo value says at least this bright: gradient 0 where the rendering is brighter still.
+    # A burnt-out photo value is only a lower bound: the gradient is 0 where the rendering is brighter.
     "burnt-out photos": lambda case, radiance: case.transfer is not None and bool((radiance >= 1).any()),
 }

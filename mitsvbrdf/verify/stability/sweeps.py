@@ -14,13 +14,13 @@ from ...render.analytic import MIN_ALPHA
 from ...views import Views, nine_view_grid, texel_positions
 
 CASE_SIDE = 16  # texels along a side of most materials: 256 texels, each a case of its own
-TAKEN_APART_SIDE = 64  # larger materials are compared, but not taken apart
+TAKEN_APART_SIDE = 64  # larger materials are compared, without limits and condition numbers
 
 GRID = nine_view_grid()
-# 20 degrees to the half vector
+# camera and light are 20 degrees from the half vector
 APART = Views.of(GRID.camera, GRID.camera + torch.tensor([1.5, -0.3, 0.1]), GRID.intensity)
 
-# What is known of Mitsuba's plugins beyond the rounding of a normal: the largest relative L2 error, and its
+# Known errors of Mitsuba's plugins beyond the rounding of a normal: the largest relative L2 error, and its
 # cause.
 Known = Mapping[str, tuple[float, str]]
 
@@ -54,27 +54,27 @@ class Case:
     svbrdf: SVBRDF  # the material, float32, valid
     views: Views  # camera and light positions, valid
     texels: Tensor | None = None  # R x R, bool: which texels are compared; None for all
-    # where given, gradients are those of the photometric loss on photos of this transfer function, of a
-    # material a little different; else of the product of the image with fixed random numbers
+    # if given, gradients are those of the photometric loss, on photos of a slightly different material with
+    # this transfer function; else those of the product of the image with fixed random numbers
     transfer: color.Transfer | None = None
     refused: bool = False  # whether maps or views are invalid, and have to be refused as such
-    # what is known to be worse, by renderer: the largest relative error allowed, and its cause
+    # known larger errors, by renderer: the largest relative error allowed, and its cause
     known: Known = field(default_factory=dict)
 
     def display(self, radiance: Tensor) -> Tensor:
-        """What a fit sees: display values, burnt out in photos whose exposure is swept."""
+        """What a fit sees: display values. With a transfer function, they are clipped as in photos."""
         return color.encode(radiance) if self.transfer is None else color.to_display(radiance, self.transfer)
 
     @property
     def small(self) -> bool:
-        """Whether conditioning and fifty digits are looked at too."""
+        """Whether the float32 limit and condition numbers are computed, too."""
         return self.svbrdf.resolution <= TAKEN_APART_SIDE
 
 
 def material(bsdf: Bsdf = "roughconductor", side: int = CASE_SIDE, normal: Tensor | None = None,
              **values: float | tuple | Tensor) -> SVBRDF:
-    """Random maps: F0 0.02 to 0.92, roughness 0.15 to 0.95, normals tilted by about 8 degrees. Values by map
-    name are numbers, colours or maps.
+    """Random maps: F0 0.02 to 0.92, roughness 0.15 to 0.95, normals tilted by about 8 degrees. ``values``, by
+    map name, replace maps: numbers, colours or maps.
     """
     maps = dict(random_material(bsdf, side, slope=0.1).maps)
     if "specular" in maps:
@@ -98,8 +98,8 @@ def aimed(bsdf: Bsdf, views: Views, roughness: float) -> SVBRDF:
 
 
 def tilted(degrees: float, towards: float | None = None) -> Tensor:
-    """Normals at this angle to the patch's, R x R x 3. Azimuths alternate: random, along an axis; or all are
-    ``towards`` one, degrees from x towards y.
+    """Normals R x R x 3 at this angle to the normal of the patch. Rows with azimuths along an axis and rows
+    with random ones alternate. With ``towards`` all azimuths are this one, in degrees from x towards y.
     """
     angle = torch.deg2rad(torch.tensor(degrees, dtype=torch.float64))
     azimuth = 2 * torch.pi * torch.rand(CASE_SIDE, CASE_SIDE, generator=torch.Generator().manual_seed(2),
