@@ -1,6 +1,4 @@
-"""What tests of all folders share: renderers, views, photos of made materials, and where the repository
-is.
-"""
+"""What tests of all folders share: renderers, views, photos of made materials, the repository's folder."""
 
 from pathlib import Path
 
