@@ -56,7 +56,7 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
 
     LIBRARY holds a folder for each material, the page index.html (you can open it while the batch runs),
     library.json for pandas, and failed/ with the reason and the log of each capture that failed. The exit
-    code is 1 if a capture failed. The command needs Ray: pip install 'mitsvbrdf[batch]'.
+    code is 1 if a capture failed or could not be read. It needs Ray: pip install 'mitsvbrdf[batch]'.
     """
     running.check()
     shared.check(config)

@@ -32,8 +32,8 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     """Recover a material from photos.
 
     Args:
-        capture: photos and views. Missing views are first estimated from the photos, except for the paper's
-            method (:mod:`mitsvbrdf.calibrate.estimate`). One or two photos get the default geometry.
+        capture: photos and views. Missing views are first estimated from the photos, unless the method holds
+            views (:mod:`mitsvbrdf.calibrate.estimate`). One or two photos get the default geometry.
         renderer: carries the gradients and draws the comparison.
         config: which method and its settings. Default: ``HierarchicalConfig()``.
         checkpoint: file (.safetensors) to keep the running state in.

@@ -152,7 +152,7 @@ class HierarchicalConfig(FitConfig):
     stationary: bool | None = None
     """One photo shows a material that repeats itself (or --no-stationary). Default: a test decides."""
     calibrate: bool | None = None
-    """Refine camera and flash of each photo (--calibrate, or --no-calibrate). Default: of real photos."""
+    """Refine camera and flash of each photo (--calibrate or --no-calibrate). Default: photos decide."""
     flash_offset: Switch = True
     """One sideways distance between lens and flash, fitted for all photos."""
 

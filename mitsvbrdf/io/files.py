@@ -170,7 +170,7 @@ def inside(folder: Path, name: str) -> Path | None:
 def exchange(one: Path, other: Path) -> None:
     """Exchange two folders in one step; where the system or its disk has no such step, by three renames.
 
-    A kill between the renames leaves ``other`` whole as ``.NAME.old``. The next command puts it back.
+    A kill between the first two leaves ``other`` whole as ``.NAME.old``. The next command puts it back.
     """
     try:
         renamed = ctypes.CDLL(None, use_errno=True).renameat2(

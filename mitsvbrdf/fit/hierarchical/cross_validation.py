@@ -28,6 +28,7 @@ NOISES = (0.03, 0.05, 0.08)
 FEWEST, MOST = 4, 12
 AGREED = 4  # rounds in which texels forget a photo that is held out
 STEPS, ROUNDS = 6, 3  # Levenberg-Marquardt steps of a round; rounds, which end by setting texels' freedom
+TURN = AGREED * (STEPS + 1)  # steps of the solver to forget a photo; variances count as one
 
 
 def in_turn(count: int) -> range:
@@ -36,8 +37,8 @@ def in_turn(count: int) -> range:
 
 
 def steps_of_turns(count: int) -> int:
-    """Steps of the solver for the cross-validation of so many photos; variances count as one."""
-    return len(in_turn(count)) * (AGREED * (STEPS + 1) + len(NOISES) * ROUNDS * (STEPS + 1))
+    """Steps of the solver for the cross-validation of so many photos."""
+    return len(in_turn(count)) * (TURN + len(NOISES) * ROUNDS * (STEPS + 1))
 
 
 def prediction_errors(photos: Observations, solver: TexelSolver, prior: TexelPrior,

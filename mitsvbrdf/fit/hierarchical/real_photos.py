@@ -9,7 +9,7 @@ from ... import color
 from ...capture import Capture
 from ...render import Renderer
 from . import response_curve
-from .cross_validation import AGREED, NOISES, in_turn, least_as_good, prediction_errors, steps_of_turns
+from .cross_validation import AGREED, NOISES, TURN, in_turn, least_as_good, prediction_errors, steps_of_turns
 from .kernel import tiles
 from .observations import ROBUST_END, ObservationModel
 from .scales import Scale
@@ -44,13 +44,8 @@ class RealPhotos:
         return self.prior.share(answer, variance, scale, len(photos.views), True,
                                 lambda planes: self.seen.without_burn_in(planes, scale, answer))
 
-    @property
-    def may_learn(self) -> bool:
-        """Whether there is time to learn the noise of the photos by cross-validation."""
-        return self._in_time(steps_of_turns(self.photos))
-
     def _in_time(self, steps: int) -> bool:
-        return self.seen.budget.in_time(steps * self.scales.of(Stage.ALONE).texels,
+        return self.seen.budget.in_time(steps * self.scales.of(Stage.ALONE).texels, "turns",
                                         beside=ROUND_STEPS - STEPS)
 
     def at_full_size(self, answer: TexelEstimate, scale: Scale) -> tuple[Scale, TexelEstimate]:
@@ -59,31 +54,33 @@ class RealPhotos:
         return fine, self.prior.enlarge(answer, scale, fine, tied=True)
 
     def learn(self, tied: TexelEstimate, scale: Scale, hurried: bool,
-              renderer: Renderer) -> tuple[Scale, TexelEstimate]:
+              renderer: Renderer) -> tuple[Scale, TexelEstimate, bool]:
         """Learn the response curve and the noise at full size with which photos predict each other well.
 
         Returns:
-            The scale, with the response curve that its photos ask for, if any, and the answer.
+            The scale, with the response curve that its photos ask for, if any; the answer; and whether the
+            time is too short to learn the noise.
         """
-        if hurried or not in_turn(self.photos):
-            return scale, tied
-        held_out, found = self._held_out(tied, scale), None
-        anew = response_curve.WORK + len(held_out) * AGREED * (STEPS + 1)
+        steps = steps_of_turns(self.photos)
+        hurried = hurried or not self._in_time(steps)
+        held_out, found = {} if hurried else self._held_out(tied, scale), None
+        if not held_out:
+            return scale, tied, hurried or steps > 0
         uncurved = color.parts(scale.capture.transfer)[1] is None
-        if uncurved and self._in_time(steps_of_turns(self.photos) + anew):
+        if uncurved and self._in_time(steps + response_curve.WORK):
             found = response_curve.curved(scale, tied, self.seen.observations, self.prior, self.next_prior,
                                           renderer)
-        if found:
-            other = self._held_out(found[1], found[0])
+        if found and (other := self._held_out(found[1], found[0])):
             errors = torch.stack([self._errors(each, at) for each, at in
                                   ((held_out, scale), (other, found[0]))])
             if least_as_good(errors) == 1:
                 (scale, tied), held_out = found, other
                 self.curve = color.parts(scale.capture.transfer)[1]
                 self.scales.see_through(scale.capture.transfer)
-        if self.seen.config.noise is None:
+        hurried = not self._in_time(steps - len(held_out) * TURN)
+        if self.seen.config.noise is None and not hurried:
             self.seen.stages.believe(self._noise(tied, scale, held_out))
-        return scale, tied
+        return scale, tied, hurried
 
     def seen_through(self, capture: Capture) -> Capture:
         """The capture with the response curve that its photos ask for, and a note; unchanged without one."""
@@ -95,13 +92,18 @@ class RealPhotos:
         return capture.but(transfer=self.curve.behind(capture.transfer), notes=(*capture.notes, told))
 
     def _held_out(self, tied: TexelEstimate, scale: Scale) -> dict[int, TexelEstimate]:
-        """For each photo held out, the answer from all other photos, which predicts it."""
+        """For each photo held out, the answer from all other photos, which predicts it; empty if these turns
+        take longer than was foreseen, and the noise could not be learned in time.
+        """
         found, every = dict[int, TexelEstimate](), self.seen.observations(scale, tied)
         for photo in in_turn(self.photos):
-            others, answer = every.without(photo), tied
-            for _ in range(AGREED):
-                answer = self.next_prior(scale, others, answer._replace(
-                    x=stepped(scale.solver, others, answer, self.prior, STEPS).x))
+            if found and not self._in_time(steps_of_turns(self.photos) - len(found) * TURN):
+                return {}
+            with self.seen.budget.timed("turns", TURN * scale.texels):
+                others, answer = every.without(photo), tied
+                for _ in range(AGREED):
+                    answer = self.next_prior(scale, others, answer._replace(
+                        x=stepped(scale.solver, others, answer, self.prior, STEPS).x))
             found[photo] = answer
         return found
 

@@ -131,8 +131,8 @@ class Hierarchical(Method[HierarchicalConfig]):
             self.answer = self.start()
         if stage == Stage.FINE:
             if self.stages.tied:
-                hurried = hurried or not self.real.may_learn
-                self.scale, self.answer = self.real.learn(self.answer, self.scale, hurried, self.engine)
+                self.scale, self.answer, hurried = self.real.learn(self.answer, self.scale, hurried,
+                                                                   self.engine)
                 self.capture = self.real.seen_through(self.capture)
             self.scale, self.answer = self.photos.at_full_size(self.answer, self.scale)
         self.stages.enter(stage, hurried)

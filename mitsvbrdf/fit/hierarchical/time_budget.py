@@ -21,8 +21,8 @@ FAR_STEPS = 10  # of another start where texels have lobes, which hold them tigh
 ROUND_STEPS = STEPS + 4 * OTHER_STEPS  # of a round with all starts
 LAST_STEPS = 8  # at the end of the fit
 
-Kind = Literal["solver", "views"]
-KINDS: tuple[Kind, ...] = ("solver", "views")
+Kind = Literal["solver", "views", "turns"]  # turns of photos that are held out
+KINDS: tuple[Kind, ...] = ("solver", "views", "turns")
 
 
 class TimeBudget:

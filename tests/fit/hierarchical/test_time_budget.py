@@ -52,15 +52,17 @@ def timed(shots, monkeypatch):
     for enough in ("CALM", "WORTH"):  # only the clock ends rounds
         monkeypatch.setattr(stages, enough, -1.0)
 
-    def made(budget, **settings):
+    def made(budget, slower=1, **settings):
         method, clock = method_of(shots, budget=budget, **({"exact": False} | settings)), Clock()
 
-        def stepped(solver, photos, answer, prior, count):
-            clock.work("solver", answer.x.shape[-1], count)
+        def stepped(solver, photos, answer, prior, count, slower=1):
+            side = answer.x.shape[-1]
+            clock.work("solver", side, count * (slower if side < SIDE else 1))
             return starts.stepped(solver, photos, answer, prior, count)
 
         for where in (observations, real_photos, cross_validation, scoring, specular_test):
             monkeypatch.setattr(where, "stepped", stepped)
+        monkeypatch.setattr(real_photos, "stepped", lambda *given: stepped(*given, slower))
         monkeypatch.setattr(method.corrections, "refine", lambda maps, *_: clock.work(
             "views", maps.resolution, method.corrections.work))
         method.budget.clock = clock
@@ -78,9 +80,11 @@ def run(method, clock, budget):
     return passed, method.estimate()[0]
 
 
-@pytest.mark.parametrize("budget, exact", [(30, False), (120, False), (700, False), (60, True), (300, True)])
-def test_a_budget_is_kept_and_used(budget, exact, timed):
-    method, clock = timed(budget, exact=exact)
+@pytest.mark.parametrize("budget, exact, slower", [
+    (30, False, 1), (120, False, 1), (700, False, 1), (1500, False, 8), (60, True, 1), (300, True, 1)])
+def test_a_budget_is_kept_and_used(budget, exact, slower, timed):
+    """Turns of photos that are held out may take longer than steps so far let foresee."""
+    method, clock = timed(budget, slower, exact=exact)
     passed, found = run(method, clock, budget)
     assert passed[-1][0] == Stage.FINE
     assert found.resolution == SIDE and all(torch.isfinite(value).all() for value in found.maps.values())
@@ -116,7 +120,7 @@ def test_a_resumed_fit_knows_what_steps_took(timed):
     again, later = timed(clock.now + 400)
     later.now = clock.now
     again.load_state(method.state())
-    assert again.budget.rates == method.budget.rates and len(again.budget.rates) == 2
+    assert again.budget.rates == method.budget.rates and len(again.budget.rates) == 3
     assert again.budget.end == again.budget.budget
     run(again, later, again.budget.budget)
     assert again.done and "views" not in [kind for kind, *_ in later.calls]
