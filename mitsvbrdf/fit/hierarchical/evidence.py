@@ -17,7 +17,8 @@ from .texel_prior import LEAST_PRECISION, TexelEstimate, TexelPrior
 
 WIDTHS = tuple(0.8 / 1.32**k for k in range(13, -1, -1))  # roughnesses; alpha grows by 1.74 a step
 STEPS, OTHERS = 6, 4  # solver steps from each start; other starts of a texel, with half as many steps each
-SEARCH_STEPS = 2 * len(WIDTHS) * (2 * STEPS + OTHERS * (STEPS // 2))
+# in solver steps; learning lobes from the answers takes two or three times as long as the search (9 photos)
+SEARCH_STEPS = 4 * 2 * len(WIDTHS) * (2 * STEPS + OTHERS * (STEPS // 2))
 ROUNDING = 1e-5  # of float32 sums over photos: this share of a diagonal is added to keep matrices definite
 
 

@@ -220,11 +220,18 @@ class Hierarchical(Method[HierarchicalConfig]):
                                         self.engine)
 
     def estimate(self) -> tuple[SVBRDF, Views]:
-        """The present maps at full size; tied texels get the freedom that they have in the last stage."""
-        x = self.real.close(self.answer, self.scale) if self.stages.tied else self.answer.x
+        """The present maps at full size; tied texels get the freedom that they have in the last stage, and at
+        the end, free ones that are still coarse take steps at full size.
+        """
+        x, full = self.answer.x, self.capture.resolution
+        if self.stages.tied:
+            x = self.real.close(self.answer, self.scale)
+        elif self.ended and x.shape[-1] < full:
+            scale, answer = self.exact.at_full_size(self.answer, self.scale)
+            x = self.seen.stepped(scale, answer, self.prior, self.budget.steps(STEPS)).x
         if self.ended:
             self.real.closed = None
-        x = enlarged(x, self.capture.resolution) if x.shape[-1] < self.capture.resolution else x
+        x = enlarged(x, full) if x.shape[-1] < full else x
         views, solver = self.corrections.applied(self.views), self.scales.solver(x.shape[-1])
         return solver.svbrdf(x), views
 

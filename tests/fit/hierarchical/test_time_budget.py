@@ -92,6 +92,13 @@ def test_a_budget_is_kept_and_used(budget, exact, slower, timed):
     assert method.done or clock.now >= budget
 
 
+def test_exact_photos_whose_time_ends_before_full_size_take_steps_there(timed):
+    method, clock = timed(AMPLE, exact=True)
+    method.step(0.0)
+    method.ended = True
+    assert method.estimate()[0].resolution == SIDE and clock.calls[-1] == ("solver", SIDE, STEPS)
+
+
 @pytest.mark.slow
 def test_an_ample_budget_changes_nothing(timed):
     method, clock = timed(AMPLE)
