@@ -166,7 +166,8 @@ class Loop:
         if len(self.undone) > MAX_UNDONE:
             return "unstable"
         if self.method.done:
-            return "budget" if self.method.cut_short else "settled"
+            limit = "budget" if self.config.budget else "iterations"
+            return limit if self.method.cut_short else "settled"
         over = self.config.budget and self.seconds >= self.config.budget
         return "budget" if over and self.iteration else None  # a first step is made, however short the budget
 

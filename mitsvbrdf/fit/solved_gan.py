@@ -184,7 +184,7 @@ class SolvedGan(Method[GanConfig]):
     @property
     def cut_short(self) -> bool:
         """Whether the answer of all photos has not settled."""
-        return not self.solvers[0].done
+        return not self.solvers[0].done or self.solvers[0].cut_short
 
     def cut_step(self) -> None:
         """Halve the step sizes of the game."""

@@ -124,7 +124,7 @@ class Hierarchical(Method[HierarchicalConfig]):
                 self.scale, self.answer = found
         in_time = self.budget.in_time(SEARCH_STEPS * self.scale.texels, beside=STEPS)
         stage = self.stages.next(in_time)
-        hurried = not self.stages.finished or self.stages.stage == Stage.ALONE and not in_time
+        hurried = not self.stages.finished or self.stages.may_search and not in_time
         self.corrections.leave(self.stages.stage, self.stages.rounds, self.stages.tied)
         if stage == Stage.TOGETHER:
             self.scale = self.scales.of(stage)
@@ -162,6 +162,11 @@ class Hierarchical(Method[HierarchicalConfig]):
     def done(self) -> bool:
         """Whether another round would change little."""
         return self.stages.settled
+
+    @property
+    def cut_short(self) -> bool:
+        """Whether a stage or the cross-validation lacked time."""
+        return self.stages.hurried
 
     def solve(self) -> Tensor:
         """Solve every texel, then take other starts where they cost less; returns the mean cost."""

@@ -134,8 +134,12 @@ class Stages:
         """
         if self.stage == Stage.ALONE and not self.exact:
             return Stage.TOGETHER
-        search = self.stage == Stage.ALONE and self.multi_start and not self.matte and in_time
-        return Stage.MULTI_START if search else Stage.FINE
+        return Stage.MULTI_START if self.may_search and in_time else Stage.FINE
+
+    @property
+    def may_search(self) -> bool:
+        """Whether a search at many roughnesses comes next, if it can end in time; after :meth:`judge`."""
+        return self.stage == Stage.ALONE and self.multi_start and self.exact and not self.matte
 
     def judge(self, left: Tensor) -> None:
         """Learn what ALONE left unexplained (:func:`unexplained`), and so which kind of photos these are."""
