@@ -1,7 +1,7 @@
 """Error against run time, of methods and renderers.
 
 ``python docs/results/benchmark.py`` makes benchmark.md and benchmark.svg from benchmark.json; with
-``measure`` behind it the fits are measured first (two hours; MITSVBRDF_DATA names the photos; a run that
+``measure`` behind it the fits are measured first (three hours; MITSVBRDF_DATA names the photos; a run that
 stopped continues), with ``sizes`` seconds and memory from 64 to 4096 px (one hour).
 """
 
@@ -12,6 +12,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -23,13 +24,10 @@ from mitsvbrdf import SVBRDF, evaluate_capture, make_renderer
 from mitsvbrdf.bench.plot import plot, svg
 from mitsvbrdf.bench.run import append, method_table, read_records, run
 from mitsvbrdf.bench.table import as_markdown, judged, note, summary, table
-from mitsvbrdf.bench.tasks import data_folder, find_tasks
+from mitsvbrdf.bench.tasks import data_folder, find_tasks, known_material
 
 HERE = Path(__file__).parent
 BUDGETS, LONGEST = [10, 30], 100
-KNOWN = ["brick-uneven-stones", "fake-022", "fake-030", "metal-plating", "rotten-wood-boards",
-         "synthetic-foam"]
-MADE = ["builtin:inlay", "builtin:tiles", "builtin:leather", "builtin:plates"]
 MAPS = ["diffuse", "specular", "roughness", "normal", "mean"]
 PEERS = "peers-baseline"
 STEPS = 1000  # of the peers' baseline
@@ -108,8 +106,8 @@ def size_table(sizes: list) -> pd.DataFrame:
 
 
 def groups(records: list) -> list:
-    """Eight captures by held-out and by seen photos."""
-    return list(judged(of_one(records, "capture", [7, 8])))
+    """Eight captures by held-out and by seen photos, then all captures by theirs."""
+    return [group for without in ([7, 8], [4, 7]) for group in judged(of_one(records, "capture", without))]
 
 
 def beaten(cells: pd.DataFrame) -> str:
@@ -120,24 +118,20 @@ def beaten(cells: pd.DataFrame) -> str:
 def page(record: dict) -> str:
     """The text of benchmark.md."""
     records, published = record["records"], record["published"]
-    held, seen = groups(records)
-    captures, others = (of_one(records, "capture", without) for without in ([7, 8], [4, 7]))
-    by_capture = each_capture(captures, published, "held_out")
-    others_held, others_seen = (each_capture(others, published, error) for error in ("held_out", "seen"))
+    held, seen, all_held, all_seen = groups(records)
+    by_capture = each_capture(held.records, published, "held_out")
     materials = each_material(of_one(records, "material", []))
     whole = [r for r in records if r["method"] == "hierarchical" and r["budget"] == LONGEST]
-    took = {kind: [r["seconds"] for r in records if r["method"] == "hierarchical" and r["kind"] == kind
-                   and r["stopped"] != "budget"] for kind in ("capture", "material")}
-    ratios = [r["errors"]["held_out"] / r["errors"]["seen"] for r in others
+    took = {kind: [r["seconds"] for r in whole if r["kind"] == kind and r["stopped"] != "budget"]
+            for kind in ("capture", "material")}
+    ratios = [r["errors"]["held_out"] / r["errors"]["seen"] for r in all_held.records
               if r["method"] == "hierarchical" and r["budget"] == LONGEST]
     settled = sum(r["stopped"] != "budget" for r in whole)
     versions = " and ".join(dict.fromkeys(r["version"] for r in records))
-    four = [f"{cells.loc[row].iloc[0]:.4f}" for cells in (others_held, others_seen)
-            for row in ("mean", "median")]
     figures = "{:.4f}".format
     return f"""# Error against run time
 
-Fits at 256 px through `mitsuba` on two cores ({record['machine']}), version {versions}. `hierarchical` is \
+Fits at 256 px through `mitsuba` on {record['machine']}, version {versions}. `hierarchical` is \
 the default method; `{PEERS}` is the per-texel Adam of svbrdf-diff-renderer. No fit sees held-out photos. \
 They are predicted with the stated views, and the flash offset of fits that find one. *Published*: errors of \
 published predictions.
@@ -146,9 +140,8 @@ published predictions.
 
 {markdown(held, published)}
 Where MaterialGAN saw all nine photos, no photo is held out. `gan` begins at the maps of the \
-default, and changes a map only if held-out photos are predicted better. The default alone, 18 captures \
-without photos 4 and 7: mean {four[0]} (median {four[1]}), photos seen {four[2]} (median {four[3]}); held \
-out over seen {min(ratios):.1f} to {max(ratios):.1f}, median {statistics.median(ratios):.1f}.
+default, and changes a map only if held-out photos are predicted better. `hybrid` and `direct` were not run \
+for {LONGEST} s, for lack of machine time.
 
 ## Each capture, held-out photos 7 and 8
 
@@ -160,11 +153,17 @@ The default is the lowest on {beaten(by_capture)} captures. Its fits of captures
 {LONGEST} s).
 
 {markdown(seen, published)}
+{markdown(all_held, published)}
+Held out over seen, of each capture by the default: {min(ratios):.1f} to {max(ratios):.1f}, median \
+{statistics.median(ratios):.1f}.
+
+{markdown(all_seen, published)}
 ## Each known material
 
 {as_markdown(materials.map(figures))}
 
-RMSE of maps encoded to 0 to 1, from nine exact 8-bit photos with the views of cards-blue, by the default.
+RMSE of maps encoded to 0 to 1, from nine exact 8-bit photos with the views of cards-blue, by the default. \
+`brick-uneven-stones` and `10_brick_uneven_stones` are the same maps.
 
 ## Seconds on the wall / of the loop, captures without photos 7 and 8
 
@@ -196,7 +195,7 @@ Intel Xeon, all renderers in turn. `mitsuba` draws texel centres and is the fast
 def figure(record: dict):
     """Curves of held-out photos and of photos seen; a line for every published error."""
     drawn = plot(found := groups(record["records"]))
-    for axes, group in zip(drawn.axes, found):
+    for axes, group in zip(drawn.axes, found, strict=True):
         for look, (who, error) in zip(("--", ":", "-."), published_means(group, record["published"]).items()):
             axes.axhline(error, color="0.4", linewidth=1, linestyle=look, label=who)
         axes.legend(fontsize=7)
@@ -284,17 +283,20 @@ def measure(lines: Path) -> list:
     names = sorted({p["name"] for p in published if p["method"] == "Gao 2019" and p["kind"] == "capture"})
     eight = find_tasks(["none"], names, data, 256, (7, 8), None, renderer)
     all_captures = find_tasks(["none"], None, data, 256, (4, 7), None, renderer)
-    known, made = (find_tasks(each, ["none"], data, 256, (), None, renderer) for each in (KNOWN, MADE))
+    known = find_tasks(None, ["none"], data, 256, (), None, renderer)
+    known += [replace(known_material(str(folder / "strip.png"), 256, known[0].photos.views, renderer,
+                                     "cards-blue"), name=folder.name)
+              for folder in sorted((data / "one-photo/known").iterdir())]
 
     def fitted(methods: list, tasks: list, budgets: list) -> list:
         return run({name: table[name] for name in methods}, tasks, budgets, [0], renderer, lines,
                    lambda text, share: print(f"{share:4.0%} {text}", flush=True))
 
-    others = ["hybrid", "gan", "direct"]
-    records = (fitted(["hierarchical"], [*eight, *known, *made, *all_captures], [LONGEST])
-               + fitted(["hierarchical", *others], eight, BUDGETS))
-    records += measured_peers(eight, records, renderer, lines)
-    return records + fitted(others, eight, [LONGEST])
+    captures, longer = [*eight, *all_captures], [*BUDGETS, LONGEST]
+    records = fitted(["hierarchical"], [*captures, *known], [LONGEST])
+    records += fitted(["hierarchical"], captures, BUDGETS)
+    return records + fitted(["gan", "direct", "hybrid"], eight, longer) + measured_peers(
+        eight, records, renderer, lines)
 
 
 def command(*words: object) -> dict[str, float]:
