@@ -193,8 +193,8 @@ Intel Xeon, all renderers in turn. `mitsuba` draws texel centres and is the fast
 
 
 def figure(record: dict):
-    """Curves of held-out photos and of photos seen; a line for every published error."""
-    drawn = plot(found := groups(record["records"]))
+    """Curves of the eight captures, held-out photos and photos seen; a line for every published error."""
+    drawn = plot(found := groups(record["records"])[:2])
     for axes, group in zip(drawn.axes, found, strict=True):
         for look, (who, error) in zip(("--", ":", "-."), published_means(group, record["published"]).items()):
             axes.axhline(error, color="0.4", linewidth=1, linestyle=look, label=who)
