@@ -100,6 +100,7 @@ class SolvedGan(Method[GanConfig]):
 
     def _next_stage(self, progress: float) -> None:
         solver = self.solvers[-1]
+        solver.ended = True
         self.began, answer = min(progress, 0.99), solver.estimate()
         if self.stage == 0:
             self.answer = answer
@@ -166,6 +167,7 @@ class SolvedGan(Method[GanConfig]):
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The solved maps, with the change of those maps that the game helped."""
         if self.answer is None:
+            self.solvers[0].ended = self.ended
             return self.solvers[0].estimate()
         svbrdf, views = self.answer
         if not (self.kept and self.game):
