@@ -26,7 +26,7 @@ Refined = Literal["never", "unless exact", "always"]
 
 @dataclass(frozen=True, eq=False)
 class FitTask(Generic[Config]):
-    """A capture to fit with a method's settings. What follows from them is found on first use."""
+    """A capture to fit with a method's settings. Values derived from the two are computed on first use."""
 
     capture: Capture  # photos and views
     renderer: Renderer  # carries the gradients and draws the comparison

@@ -81,7 +81,7 @@ def choose_patch(outlines: dict[str, Array], least: int = 3,
                  always: str | None = None) -> tuple[float, list[str]]:
     """Side of the largest square that all photos show, and names of photos rejected to make it larger.
 
-    At least ``least`` photos are kept, and always the photo ``always``. A side of 0 or below: too few photos
+    No photo is rejected once ``least`` are left, and never ``always``. A side of 0 or below: too few photos
     show the same part.
     """
     kept = dict(outlines)

@@ -241,7 +241,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         return solver.svbrdf(x), views
 
     def glimpse(self) -> tuple[SVBRDF, Views, Capture] | None:
-        """Before full size, and always for exact photos: the present maps, and every k-th pixel of photos."""
+        """The present maps with every k-th pixel of the photos; None for real photos at full size."""
         full = self.scale.capture.resolution == self.capture.resolution
         if full and self.measured_every > 1:
             return None
