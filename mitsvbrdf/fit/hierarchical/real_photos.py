@@ -62,7 +62,7 @@ class RealPhotos:
             time is too short to learn the noise.
         """
         steps = steps_of_turns(self.photos)
-        hurried = hurried or not self._in_time(steps)
+        hurried = hurried or steps > 0 and not self._in_time(steps)
         held_out, found = {} if hurried else self._held_out(tied, scale), None
         if not held_out:
             return scale, tied, hurried or steps > 0
@@ -77,8 +77,9 @@ class RealPhotos:
                 (scale, tied), held_out = found, other
                 self.curve = color.parts(scale.capture.transfer)[1]
                 self.scales.see_through(scale.capture.transfer)
-        hurried = not self._in_time(steps - len(held_out) * TURN)
-        if self.seen.config.noise is None and not hurried:
+        unknown = self.seen.config.noise is None
+        hurried = unknown and not self._in_time(steps - len(held_out) * TURN)
+        if unknown and not hurried:
             self.seen.stages.believe(self._noise(tied, scale, held_out))
         return scale, tied, hurried
 
