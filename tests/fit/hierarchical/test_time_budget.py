@@ -81,7 +81,7 @@ def run(method, clock, budget):
 
 
 @pytest.mark.parametrize("budget, exact, slower", [
-    (30, False, 1), (120, False, 1), (700, False, 1), (1500, False, 8), (60, True, 1), (300, True, 1)])
+    (30, False, 1), (120, False, 1), (700, False, 1), (1300, False, 8), (60, True, 1), (300, True, 1)])
 def test_a_budget_is_kept_and_used(budget, exact, slower, timed):
     """Turns of photos that are held out may take longer than steps so far let foresee."""
     method, clock = timed(budget, slower, exact=exact)
