@@ -19,7 +19,7 @@ from ..measure.metrics import of_all
 from ..measure.rerender import rerender, rerender_errors
 from ..render import Renderer
 from . import evaluate_capture
-from .placement import fitted_views, placed
+from .placement import fitted_views, is_of, placed
 
 
 def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Renderer,
@@ -41,7 +41,7 @@ def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Render
         ``refined`` (None without priors) also have these four errors, and ``views``.
     """
     views, fitted = fitted_views(fit, capture)
-    here = fit.of(capture)
+    here = is_of(fit, capture)
     seen = [name for name, number in zip(capture.names, capture.index) if here and number in fit.seen]
     held_out = [name for name in capture.names if here and name not in seen]
     total, each = rerender_errors(renderer, svbrdf.resized(capture.resolution), views, capture)

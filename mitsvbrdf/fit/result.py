@@ -14,7 +14,6 @@ import torch
 from torch import Tensor
 
 from .. import color
-from ..capture import Capture
 from ..errors import MapsError, MitsvbrdfError
 from ..io import files, images
 from ..io.json import error_text
@@ -31,9 +30,6 @@ from .record import FILE, SCHEMA_VERSION, Fact, checked, missing, record_in
 # fields that :meth:`Fit.but` changes in the record, too
 _FACTS = "rerender_rmse", "calibrated_rmse", "renderer", "variant", "warnings", "stopped", "trace"
 ALIKE = "with-look-alikes"  # folder of deviations that count look-alikes
-# Largest median difference of equal photos, averaged to 4 x 4. In real captures one photo at 37 and at 256 px
-# differs by 0.008 at most, some photo of another capture by 0.07 and more. A mask changes less than half.
-SAME = 0.02
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -123,7 +119,7 @@ class Fit:
     def photos(self) -> Tensor:
         """The photos used, N x R x R x 3 in display values; in a folder, of 8 bits."""
         return (self.known["shots"].photos if "shots" in self.known
-                else torch.stack([self._image(f"photos/{name}.png") for name in self.names]))
+                else torch.stack([*map(self.photo, self.seen)]))
 
     @cached_property
     def rerendered(self) -> Tensor:
@@ -257,23 +253,19 @@ class Fit:
         """Side of the patch in metres; None unless a sheet in the photos told the unit of the views."""
         return self.views.size / 100 if self.calibration.get("from") == "sheet" else None
 
-    def of(self, capture: Capture) -> bool:
-        """Whether the fit was made from photos of this capture.
-
-        The folders must have the same name, and photos of the same number, if the fit keeps them, look alike.
-        """
-        named = (self.capture or "") == capture.name and bool(self.capture or self._kept)
-        return named and all(float(np.median(np.abs(images.averaged(photo.numpy(), 4) - self._kept[number])))
-                             < SAME for number, photo in zip(capture.index, capture.stored)
-                             if number in self._kept)
-
     @cached_property
-    def _kept(self) -> dict[int, np.ndarray]:
+    def small_photos(self) -> dict[int, np.ndarray]:
         """Photos by number, 4 x 4 x 3: those used, in a folder also predicted ones; empty without any."""
-        paths = (self.path / "photos").glob("[0-9]*.png") if self.record else ()
-        photos = (zip(self.seen, self.known["shots"].stored) if "shots" in self.known else
-                  ((int(path.stem), self._image(f"photos/{path.name}")) for path in paths))
-        return {number: images.averaged(photo.numpy(), 4) for number, photo in photos}
+        stems = [path.stem for path in (self.path / "photos").glob("*.png")] if self.record else ()
+        numbers = self.seen if "shots" in self.known else [int(stem) for stem in stems if stem.isdecimal()
+                                                           and stem == f"{int(stem):02d}"]
+        return {number: images.averaged(self.photo(number).numpy(), 4) for number in numbers}
+
+    def photo(self, number: int) -> Tensor:
+        """A photo by its number, R x R x 3, as it is kept."""
+        if "shots" in self.known:
+            return self.known["shots"].stored[self.seen.index(number)]
+        return self._image(f"photos/{number:02d}.png")
 
     def unchanged(self) -> bool:
         """Whether ``fit.json`` in its folder still says the same."""

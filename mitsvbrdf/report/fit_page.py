@@ -14,17 +14,18 @@ from torch import Tensor
 from .. import color
 from ..capture import Capture
 from ..errors import CaptureError, MapsError, OutputError
-from ..evaluate.placement import placed, predict
+from ..evaluate.placement import placed
 from ..fit.confidence import UNKNOWN, of_texels
 from ..fit.diagnose import about_views
 from ..fit.result import Fit
 from ..io import Report, files, images
 from ..io.json import NUMBER, load, shape_error
 from ..material.maps import CHANNELS, TITLES, shown_map
-from ..measure.metrics import photo_rmse
+from ..measure.metrics import of_all, photo_rmse
+from ..measure.rerender import rerender
 from ..render import Renderer
 from ..render.analytic import AnalyticRenderer
-from ..views import Views
+from ..views import Views, shift_lights
 from .checks import fit_report
 from .curves import error_and_losses
 from .header import header, material_name
@@ -117,13 +118,16 @@ def _there(name: str, *folders: Path) -> str | None:
 def _predicted(found: Fit, capture: Capture, engine: Renderer, into: Path) -> tuple[list[dict], float]:
     capture = placed(capture, found)
     capture = capture.pick([number for number in capture.index if number not in found.seen])
-    predicted, error, each = predict(found.svbrdf, capture, engine, found.flash_offset)
     keep_photos(into, capture)
-    for name, image in zip(capture.names, predicted):
-        images.write_png(into / "predicted" / f"{name}.png", image,
+    material, each = found.svbrdf.resized(capture.resolution), list[float]()
+    lit = shift_lights(capture.views, found.flash_offset)
+    for row, (number, name) in enumerate(zip(capture.index, capture.names)):
+        image, error, _ = rerender(engine, material, lit.pick([row]), capture.pick([number]))
+        each.append(error)
+        images.write_png(into / "predicted" / f"{name}.png", image[0],
                          shown=partial(color.to_display, transfer=capture.transfer))
-    return [{"name": name, "held_out": True, "rmse": rmse, "photo": f"photos/{name}.png",
-             "rerendered": f"predicted/{name}.png"} for name, rmse in zip(capture.names, each)], error
+    return [{"name": name, "held_out": True, "rmse": error, "photo": f"photos/{name}.png",
+             "rerendered": f"predicted/{name}.png"} for name, error in zip(capture.names, each)], of_all(each)
 
 
 def _earlier(found: Fit) -> tuple[list[dict], float | None]:
@@ -148,7 +152,7 @@ def _earlier(found: Fit) -> tuple[list[dict], float | None]:
 def _write_page(found: Fit, record: dict, into: Path) -> None:
     fit = found.record
     side = int(max(SMALLEST_PHOTO, min(LARGEST_PHOTO, PHOTOS_WIDE / len(record["photos"])**0.5)))
-    write_page(into / "report.html", "report/report.html", fit=fit, record=record,
+    write_page(into / "report.html", "report/report.html", fit=fit, record=record, fixed=found.fixed,
                title=f"{material_name(found)}: recovered material",
                maps=_maps(found), front=header(found, record["quick"]), metres=found.side_metres,
                viewer=viewer_html(found.svbrdf),

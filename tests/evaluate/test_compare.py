@@ -4,6 +4,7 @@ import base64
 import io
 import json
 import re
+import shutil
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -16,7 +17,7 @@ from helpers import ANALYTIC, GRID, photos_of
 from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture, write_capture
 from mitsvbrdf.evaluate.photos import Entry, compare
-from mitsvbrdf.evaluate.placement import fitted_views
+from mitsvbrdf.evaluate.placement import fitted_views, is_of
 from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
@@ -126,7 +127,15 @@ def test_folders_of_one_name_with_other_photos_are_other_captures(shots, tmp_pat
     for folder, ours in ((tmp_path / "photos", False), (shots[0].source, True)):
         monkeypatch.chdir(folder)
         for resolution in (SIDE, 13):
-            assert Fit.of_maps(tmp_path / "fit").of(read_capture(".", resolution)) is ours
+            assert is_of(Fit.of_maps(tmp_path / "fit"), read_capture(".", resolution)) is ours
+
+
+def test_a_folder_with_another_name_and_equal_photos_is_the_same_capture(shots, tmp_path):
+    keep_photos(made_fit(tmp_path / "fit", shots[1]), shots[0].pick([0, 1]))
+    fit, renamed = Fit.of_maps(tmp_path / "fit"), shutil.copytree(shots[0].source, tmp_path / "renamed")
+    assert is_of(fit, read_capture(renamed, SIDE))
+    again = read_capture(renamed, SIDE)  # photographed again: alike, with other noise
+    assert not is_of(fit, again.but(photos=(again.photos + 0.01 * torch.randn_like(again.photos)).clip(0, 1)))
 
 
 def test_true_maps_with_true_views_leave_the_rounding_of_the_photos(compared):
