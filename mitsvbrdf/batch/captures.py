@@ -5,13 +5,14 @@ import os
 import re
 import shlex
 import tempfile
+import warnings
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from ..capture.photo import SUFFIXES
 from ..color import Transfer
-from ..errors import CaptureError, ConfigError, MitsvbrdfError
+from ..errors import CaptureError, ConfigError, InputWarning, MitsvbrdfError
 from .stores import Store, is_url
 
 TOKEN = ".token"  # what a library is known by
@@ -133,10 +134,16 @@ def _captures_in(folder: Path) -> list[Path]:
     """The folder itself if it is a capture, else the captures directly inside it. A library has none."""
     if (folder / TOKEN).is_file():
         return []
-    if found := _capture_at(folder):
+    found, inside = _capture_at(folder), list[Path]()
+    if not found or found == folder and not is_calibrated(str(folder)):
+        inside = [there for each in sorted(folder.iterdir()) if each.is_dir() and each.name[0] != "."
+                  and (there := _capture_at(each))]
+    if found and inside:
+        warnings.warn(f"{folder} is one capture, since photos lie right in it; the folders of photos inside "
+                      f"it are passed over: {', '.join(each.name for each in inside)}", InputWarning,
+                      stacklevel=2)
+    if found:
         return [found]
-    inside = [found for each in sorted(folder.iterdir()) if each.is_dir() and each.name[0] != "."
-              and (found := _capture_at(each))]
     if not inside:
         raise CaptureError("a capture, or a folder of captures", f"{folder}, which has no photos",
                            "check the name")

@@ -27,8 +27,7 @@ from .records import Material, Row
 from .results import NO_SPACE, WORK, ResultStore
 
 if TYPE_CHECKING:
-    from ..capture import Capture
-    from ..material.maps import SVBRDF
+    from ..fit import Fit
     from ..render import Renderer
 
 GIB = 1 << 30
@@ -107,7 +106,7 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
     if settings := options.detail_config(config):
         result = with_detail(result, shots, engine, settings)
     write_fit_files(result, shots, out, options.record(shots), shown, pages=asked["pages"])
-    write_preview(out / "preview.jpg", result.detail or result.svbrdf, shots.through(result.transfer))
+    write_preview(out / "preview.jpg", result)
     return _row(out)
 
 
@@ -123,7 +122,7 @@ def _row(folder: Path) -> Row:
                photos=len(record["capture"]["photos"]))
 
 
-def write_preview(path: Path, svbrdf: SVBRDF, shots: Capture) -> None:
+def write_preview(path: Path, fit: Fit) -> None:
     """Write a JPEG of the fit as the first photo shows the material."""
     import cv2
     import torch
@@ -133,10 +132,12 @@ def write_preview(path: Path, svbrdf: SVBRDF, shots: Capture) -> None:
     from ..render import make_renderer
     from ..report.pictures import encoded
 
+    material, transfer = fit.detail or fit.svbrdf, fit.transfer
+    assert transfer is not None  # a fit to photos has it
     with torch.no_grad():
-        radiance = make_renderer("analytic").render(svbrdf.resized(min(SIDE, svbrdf.resolution)),
-                                                    shots.views.pick([0]))[0]
-    write_bytes(path, encoded(color.to_display(radiance, shots.transfer), "jpeg", cv2.IMWRITE_JPEG_QUALITY,
+        radiance = make_renderer("analytic").render(material.resized(min(SIDE, material.resolution)),
+                                                    fit.views.pick([0]))[0]
+    write_bytes(path, encoded(color.to_display(radiance, transfer), "jpeg", cv2.IMWRITE_JPEG_QUALITY,
                               QUALITY))
 
 

@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from tyro.conf import Positional, arg
 
 from ..batch.library import Library, matches
-from ..batch.results import ResultStore
+from ..batch.results import RECORD, ResultStore
 from ..errors import MapsError
 from ..io.progress import progress_bar, say, several
 
@@ -36,7 +36,10 @@ def library(
     states = (state,) if state in ("done", "failed") else ()
     chosen = [row for row in materials.rows(replaced) if matches(row, search, states)]
     if verify:
-        return _verify(materials, [row["folder"] for row in chosen if row["state"] == "done"])
+        unread = [] if replaced or state == "failed" else [
+            name for name in results.names() if search.lower() in name.lower()
+            and (name not in materials.materials or materials.materials[name].state != "done")]
+        return _verify(materials, [row["folder"] for row in chosen if row["state"] == "done"], unread)
     if as_json:
         for row in chosen:
             say(json.dumps(row))
@@ -66,9 +69,9 @@ def _called(row: dict) -> str:
     return row["folder"].rpartition("/")[2]
 
 
-def _verify(materials: Library, folders: Sequence[str]) -> int:
-    """Hash files again; the exit code says whether all are as they were."""
-    wrong: dict[str, str] = {}
+def _verify(materials: Library, folders: Sequence[str], unread: Sequence[str]) -> int:
+    """Hash files again; the exit code says whether all are as they were. ``unread`` lost their records."""
+    wrong = dict.fromkeys(unread, f"{RECORD} is missing or damaged")
     with progress_bar("hashing") as report:
         for number, folder in enumerate(folders):
             report(folder, number / len(folders))
@@ -78,6 +81,7 @@ def _verify(materials: Library, folders: Sequence[str]) -> int:
         say(f"changed: {folder}: {damage}")
     if wrong:
         say("to mend these, delete their folders and run the same batch again: it makes them anew")
-    say(f"unchanged: {len(folders) - len(wrong)} of {several(len(folders), 'result')}")
+    every = len(folders) + len(unread)
+    say(f"unchanged: {every - len(wrong)} of {several(every, 'result')}")
     return int(bool(wrong))
 

@@ -10,7 +10,7 @@ import torch
 from mitsvbrdf.batch import captures as captures_module
 from mitsvbrdf.batch.captures import Entry, captures, local_capture, name_of, rectified
 from mitsvbrdf.capture.align import from_sheet
-from mitsvbrdf.errors import CaptureError, ConfigError
+from mitsvbrdf.errors import CaptureError, ConfigError, InputWarning
 from mitsvbrdf.io import images
 
 
@@ -112,6 +112,14 @@ def test_a_library_among_the_captures_is_passed_over(shots):
         assert sorted(found(*names)) == [("a b",), ("brick",), ("text",), ("wood",)]
     with pytest.raises(CaptureError, match="captures to fit, got none"):
         captures(["shots/library"])
+
+
+def test_a_picture_beside_captures_does_not_take_their_place_in_silence(shots):
+    (shots / "overview.jpg").touch()
+    with pytest.warns(InputWarning, match="passed over: a b, brick, text, wood"):
+        assert found("shots") == [("shots",)]
+    (shots / "capture.json").touch()  # it states which photos are its own
+    assert found("shots") == [("shots",)]
 
 
 @pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"shots/w\xe9\n"])

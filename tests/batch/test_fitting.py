@@ -9,16 +9,21 @@ import msgspec
 import pytest
 import torch
 from batch.chaos import make_captures
+from helpers import ANALYTIC, GRID
 from helpers.batches import asked, make_capture
 
-from mitsvbrdf import __version__, cli
+from mitsvbrdf import __version__, cli, color
 from mitsvbrdf.batch import fitting
 from mitsvbrdf.batch.asked import take_stock
 from mitsvbrdf.batch.fitting import HELD, fit_capture
 from mitsvbrdf.batch.library import Library
 from mitsvbrdf.batch.results import ResultStore
 from mitsvbrdf.capture import read_capture
+from mitsvbrdf.errors import MapsError
+from mitsvbrdf.evaluate.placement import is_of
 from mitsvbrdf.fit import Fit, HierarchicalConfig
+from mitsvbrdf.io import images
+from mitsvbrdf.material.made import make_material
 
 SIDE = 16
 QUICK = HierarchicalConfig(guess="min", iterations=4)
@@ -126,12 +131,21 @@ def test_a_worker_of_another_library_or_version_does_not_fit(worker, changes, mo
     assert said["version"] == __version__ and worker.results.names() == []
 
 
+def test_the_preview_is_seen_from_the_fitted_view(tmp_path):
+    fit = Fit().but(svbrdf=make_material("inlay", SIDE), views=GRID.pick([3, 0]), transfer="srgb")
+    fitting.write_preview(tmp_path / "preview.jpg", fit)
+    shown = images.read_image(tmp_path / "preview.jpg", MapsError)
+    own, other = ((color.to_display(image) - shown).abs().mean() for image in ANALYTIC.render(fit.svbrdf,
+                                                                                              fit.views))
+    assert own < other / 2
+
+
 @pytest.mark.slow
 def test_pages_change_neither_maps_nor_figures(captures, tmp_path):
     record = replace(asked(captures[0], QUICK, resolution=SIDE, views="0,1,2,3,4,5,6")).record
     bare, full = (fit_capture(captures[0] / "capture.json", tmp_path / str(pages), record | {"pages": pages})
                   for pages in (False, True))
-    assert Fit.load(tmp_path / "True").of(read_capture(captures[0]))  # as its folder, too
+    assert is_of(Fit.load(tmp_path / "True"), read_capture(captures[0]))  # as its folder, too
     assert maps_of(tmp_path / "False") == maps_of(tmp_path / "True")
     for name in ("error", "burn_in", "warnings", "photos"):
         assert getattr(bare, name) == getattr(full, name), name
