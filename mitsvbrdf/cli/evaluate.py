@@ -46,8 +46,9 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
     """
     if (reference is None) == (capture is None):
         raise ConfigError("either --reference or --capture", "both" if reference else "neither", "give one")
-    if refine_views and capture is None:
-        raise ConfigError("--capture beside --refine-views", "--reference", "give the photos to refine")
+    if reference and (refine_views or views or resolution or (transfer, falloff) != ("auto", "auto")):
+        raise ConfigError("--capture beside --refine-views, --views, --resolution, --transfer or --falloff",
+                          "--reference", "give the photos, or leave the option out")
     options.check_new_files(json_file, overwrite=overwrite, photos=capture, read=[maps, reference])
     svbrdf = options.material_of(maps) if reference else options.material_of(maps, 256, encoding, normal)
     found: dict[str, Any]

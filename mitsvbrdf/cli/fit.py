@@ -66,11 +66,14 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
     report.json and the checkpoint for --resume. With --detail gan it also holds detail/ and detail.html.
     """
     if pretrain:
+        if explain or resume or shared.detail != "none":
+            raise ConfigError("--pretrain without --explain, --resume and --detail", "one of them",
+                              "leave it out")
         return _pretrain(capture, out, config, shared, overwrite)
     shared.check(config)
     keep_apart(capture, out)
     if not explain:
-        results.check_free(out, overwrite or resume, resume)
+        results.check_free(out, overwrite, resume)
     photos = read_photos(capture, shared.resolution, None, shared.transfer, shared.light(config))
     shots = shared.chosen(photos)[0]
     if shots.carries and shots.carries > shots.resolution:
@@ -101,7 +104,8 @@ def _pretrain(picture: Path, out: Path, config: FitConfig, options: FitOptions, 
                           "add --method gan --preset paper-two-stage")
     options.check(config)
     check_new_files(out, overwrite=overwrite, read=[picture])
-    shots = read_photos(picture, options.resolution, None, options.transfer, options.light(config))
+    shots = options.chosen(read_photos(picture, options.resolution, None, options.transfer,
+                                       options.light(config)))[0]
     engine = make_renderer(options.renderer, options.variant)
     with Progress(f"pretrain · {engine.name}") as progress:
         pretrain(shots, engine, config, out, progress)
@@ -124,8 +128,8 @@ def _explain(task: FitTask, options: FitOptions) -> int:
 
 
 def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, options: FitOptions,
-              resume: bool, overwrite: bool) -> tuple[Fit, int | None]:
-    """Fit, add detail and write the result. Return it, and the iteration that a resumed run starts from."""
+              resume: bool, overwrite: bool) -> tuple[Fit, dict | None]:
+    """Fit, add detail and write the result. Return it, and the last measurement of a resumed run."""
     from ..report.folder import write_fit_files
     from ..report.live import LivePage
 
@@ -134,11 +138,11 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
         raise ConfigError(f"a checkpoint to resume from in {out}", "none", "run without --resume first")
     shots, shown = options.chosen(photos)
     title = f"fit {shots.name} · {method_name(config)} · {engine.name}"
-    with contextlib.ExitStack() as last, results.output_folder(out, overwrite or resume, resume) as folder:
+    with contextlib.ExitStack() as last, results.output_folder(out, overwrite, resume) as folder:
         page = LivePage(folder, out)
         say(f"live page: {page.path}")
 
-        before = load_tensors(earlier[0])[1].get("iteration") if resume else None
+        before = load_tensors(earlier[0])[1].get("trace", [None])[-1] if resume else None
         with Progress(title) as progress:
             result = fit_svbrdf(shots, engine, config, checkpoint=folder / results.CHECKPOINT,
                                 resume=earlier[0] if resume else None, report=progress, live=page)
@@ -161,26 +165,26 @@ def _say_detail(result: Fit) -> None:
         say("interrupted: the maps were kept, without plausible detail; --resume makes it")
 
 
-def _say_result(result: Fit, shots: Capture, before: int | None) -> None:
-    """Print errors, how the fit ended, uncertainty and warnings; a resumed run began at ``before``."""
-    moved = result.calibrated_rmse is not None
+def _say_result(result: Fit, shots: Capture, before: dict | None) -> None:
+    """Print errors, how the fit ended, uncertainty and warnings; ``before``: see :func:`_fit_into`."""
+    moved, seconds = result.calibrated_rmse is not None, result.trace[-1]["seconds"]
     print_numbers(f"Re-rendering RMSE{', views as fitted' if moved else ''}",
                   dict(zip(shots.names, result.per_photo)) | {"all": result.rerender_rmse})
     if moved:
         say(f"with the calibrated views and the flash offset found: {result.calibrated_rmse:.4f}")
     if result.stopped == "interrupted":
         say("interrupted: the best result so far was kept; the same command with --resume goes on")
-    elif before is not None and result.trace[-1]["iteration"] == before:
-        say(f"nothing was left to do after {before} iterations and {result.trace[-1]['seconds']:.0f} s; "
-            "raise --iterations or --budget")
     elif result.stopped == "settled":
-        say(f"settled after {result.trace[-1]['seconds']:.0f} s: it ended by itself")
+        say(f"settled after {seconds:.0f} s: it ended by itself")
+    elif result.trace[-1] == before and result.stopped != "unstable":
+        say(f"nothing was left to do after {before['iteration']} iterations and {seconds:.0f} s; raise "
+            "--iterations, or --budget to more than twice these seconds")
     if shots.views.falloff == "none":
         say("scene.xml has a light that falls off with the distance; this fit's did not")
     sure = result.record["confidence"]
     told = [f"{name} {_deviation(found['median_sd'])} ({found['determined_share']:.0%} determined)"
             for name, found in sure.items()]
-    say(f"how sure: {', '.join(told)}")
+    say(f"how sure: {', '.join(told) or 'unknown without Mitsuba'}")
     if result.deviations_with_look_alikes:
         say("with look-alikes: " + ", ".join(f"{name} {_deviation(each['with_look_alikes'])}"
                                              for name, each in sure.items()))

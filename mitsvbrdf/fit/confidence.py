@@ -143,14 +143,25 @@ def seen_by(views: Views, side: int, step: int) -> Views:
                    intensity=(views.intensity.T * power).T)
 
 
-def confidence(alone: Mapping[str, Tensor], alike: Mapping[str, Tensor]) -> dict[str, dict[str, float]]:
-    """By map ``median_sd``, ``determined_share`` (sd below 0.1), the median ``with_look_alikes`` if known."""
+def shown_texels(capture: Capture) -> Tensor:
+    """The texels with a deviation that some photo shows, r x r: not those masked in every photo."""
+    every = _every(capture.resolution, FULL)
+    shown = torch.ones(1, capture.resolution, capture.resolution, dtype=torch.bool)
+    return (shown if capture.measured is None else capture.measured)[:, every, every].any(dim=0)
+
+
+def confidence(alone: Mapping[str, Tensor], alike: Mapping[str, Tensor],
+               shown: Tensor) -> dict[str, dict[str, float]]:
+    """By map ``median_sd``, ``determined_share`` (sd below 0.1), the median ``with_look_alikes`` if known.
+
+    All are of the texels in the mask ``shown``, r x r.
+    """
     found = {}
     for name, value in alone.items():
-        texels = of_texels(value)
+        texels = of_texels(value)[shown]
         found[name] = {"median_sd": float(texels.median()),
                        "determined_share": float((texels < DETERMINED).float().mean())}
-        found[name] |= {"with_look_alikes": float(of_texels(alike[name]).median())} if alike else {}
+        found[name] |= {"with_look_alikes": float(of_texels(alike[name])[shown].median())} if alike else {}
     return found
 
 

@@ -18,7 +18,7 @@ from ..measure.burn_in import burn_in, local_burn_in
 from ..measure.rerender import Rerendered, rerender_errors, rerendered
 from ..render.needs import Omitted
 from ..views import Views, shift_lights
-from .confidence import UNKNOWN, Deviations, confidence, deviations
+from .confidence import UNKNOWN, Deviations, confidence, deviations, shown_texels
 from .hierarchical.rounds import Hierarchical
 from .light_power import light_power_told, with_light_power
 from .loop import Loop
@@ -39,11 +39,11 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
     assert loop.best is not None
     _, svbrdf, views = loop.best
     solver = method.solvers[0] if isinstance(method, SolvedGan) else method
-    basis, own = None, task
+    basis, own, shown = None, task, shown_texels(capture)
     if isinstance(solver, Hierarchical):
         basis, own = solver.scales.basis, replace(solver.task, capture=capture, own_guess=solver.task.guess)
     seen, spreads, alike = _looked_at(svbrdf, views, own, basis)
-    told = light_power_told(svbrdf, alike or spreads) if task.light_power_unknown else None
+    told = light_power_told(svbrdf, alike or spreads, shown) if task.light_power_unknown else None
     if told:
         svbrdf, views = with_light_power(svbrdf, told), replace(views, intensity=views.intensity * told)
         seen, spreads, alike = _looked_at(svbrdf, views, own, basis)
@@ -57,7 +57,7 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
         "renderer": renderer.name, "variant": renderer.variant, "bsdf": svbrdf.bsdf,
         "rerender_rmse": seen.total, "per_photo": dict(zip(capture.names, seen.each)),
         "calibrated_rmse": calibrated_rmse,
-        "confidence": confidence(spreads, alike), "burn_in": burn_in(svbrdf, views),
+        "confidence": confidence(spreads, alike, shown), "burn_in": burn_in(svbrdf, views),
         "local_burn_in": local_burn_in(svbrdf, views), "warnings": [],
         "stopped": stopped, "undone_steps": len(loop.undone), "undone": list(loop.undone),
         "seconds": loop.trace[-1]["seconds"], "iterations": loop.trace[-1]["iteration"],
@@ -80,7 +80,7 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
                              "deviations_with_look_alikes": alike, "seen_by": renderer,
                              **({} if seen.images is None else {"rerendered": seen.images})})
     said: tuple[str, ...] = (task.repeats.said(),) if task.repeats else ()
-    if isinstance(solver, Hierarchical) and solver.averages_mix():
+    if isinstance(solver, Hierarchical) and stopped != "interrupted" and solver.averages_mix():
         said += (MIXED.format(capture.resolution),)
     said += (UNSETTLED,) if method.cut_short and method is not solver and loop.iteration else ()
     return fit.but(warnings=(*capture.notes[len(notes):], *said, *fit_warnings(fit, capture)))

@@ -68,7 +68,7 @@ class GanConfig(FitConfig):
     generator: GeneratorKind = AS_PRESET
     """all-photos: ours. two-stream: the paper's, sees one photo."""
     start: Start | None = AS_PRESET
-    """solved: the default method's maps; guess: default with a setting below; untrained: the paper's."""
+    """solved: the default method's maps; guess: default if a setting below is changed; untrained: paper's."""
     width: int = AS_PRESET
     """Channels of the first convolution of both networks."""
     learning_rate: float = AS_PRESET
@@ -129,6 +129,10 @@ class GanConfig(FitConfig):
             option = (self._of_guess or ["preset"])[0].replace("_", "-")
             raise ConfigError(f"--start guess or untrained beside --{option}", "--start solved",
                               "a game from solved maps has no such setting: leave one of them out")
+        if self.of_paper and all(
+                getattr(self, name) == value for name, value in _MINUTES.items() if name != "start"):
+            raise ConfigError("a preset with its own settings", f"{self.preset} with those of minutes",
+                              "make GanConfig(preset=...) anew instead of replace(...)")
         if not any(self.weights.values()):
             raise ConfigError("a fit with a loss", "all weights 0",
                               "give --adversarial or --diffuse a weight > 0")
@@ -136,8 +140,7 @@ class GanConfig(FitConfig):
             raise ConfigError("the two-stream generator, not growing, in a preset that begins with one "
                               "picture",
                               f"generator {self.generator}, {'growing' if self.grow else 'not growing'}",
-                              "give --generator two-stream and --no-grow, or a --pretrained first stage; in "
-                              "Python, GanConfig(preset=...) anew instead of replace(...)")
+                              "give --generator two-stream and --no-grow, or a --pretrained first stage")
         if self.pretrained and self.preset != "paper-two-stage":
             raise ConfigError("--preset paper-two-stage beside a pretrained checkpoint",
                               f"--preset {self.preset}", "add --preset paper-two-stage")

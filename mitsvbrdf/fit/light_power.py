@@ -8,7 +8,7 @@ lobe for all texels could only guess it.
 
 from collections.abc import Mapping
 
-import torch
+import numpy as np
 from torch import Tensor
 
 from ..material.maps import DIELECTRIC_F0, SVBRDF, WHITEST
@@ -18,20 +18,20 @@ METAL = 0.2  # F0 from which on a texel is no dielectric
 MOST_TEXELS = 0.5  # least share of the texels that must tell the power
 
 
-def light_power_told(svbrdf: SVBRDF, deviations: Mapping[str, Tensor]) -> float | None:
+def light_power_told(svbrdf: SVBRDF, deviations: Mapping[str, Tensor], shown: Tensor) -> float | None:
     """The factor by which to multiply the light power and divide the maps; None where too few texels tell.
 
-    ``principled`` fixes F0, so it tells nothing.
+    ``shown``: the texels that some photo shows, r x r. ``principled`` fixes F0, so it tells nothing.
     """
     if svbrdf.bsdf != "roughconductor" or not {"diffuse", "specular"} <= set(deviations):
         return None
     sure = of_texels(deviations["specular"])
     level = svbrdf.resized(sure.shape[0])["specular"].mean(dim=-1)
-    told = (sure < DETERMINED) & (level > 0) & (level < METAL)  # a texel without a lobe tells nothing
-    if float(told.float().mean()) < MOST_TEXELS:
+    told = shown & (sure < DETERMINED) & (level > 0) & (level < METAL)  # a texel without a lobe tells nothing
+    if float(told[shown].float().mean()) < MOST_TEXELS:
         return None
     factor = float(level[told].median()) / DIELECTRIC_F0
-    white = float(torch.quantile(svbrdf["diffuse"].amax(dim=-1).flatten(), 0.99)) / WHITEST
+    white = float(np.quantile(svbrdf["diffuse"].amax(dim=-1).numpy(), 0.99)) / WHITEST
     return max(factor, min(white, 1.0))
 
 

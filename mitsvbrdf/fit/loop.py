@@ -28,7 +28,7 @@ CHECKPOINT_SECONDS = 30.0
 MAX_UNDONE = 20
 # what a checkpoint holds beside tensors, as types
 NOTE = {"iteration": int, "seconds": NUMBER, "undone": [{"iteration": int, "reason": str}],
-        "best_rmse": NUMBER, "trace": [{str: NUMBER}]}
+        "best_rmse": NUMBER, "trace": [{str: NUMBER}], "lacked": [NUMBER]}
 
 Seen = tuple[float, SVBRDF, Views]  # re-rendering error, material and views of a state
 
@@ -196,6 +196,11 @@ class Loop:
         if self.report:
             self.report(entry, self.progress)
 
+    @property
+    def _limits(self) -> list[float]:
+        """The most seconds and iterations; 1e9 stands for no limit."""
+        return [self.config.budget or 1e9, self.config.iterations or 1e9]
+
     def _task(self) -> dict[str, str]:
         return fingerprints(self.config, self.capture, self.renderer.name, self.method.fixed)
 
@@ -211,11 +216,15 @@ class Loop:
         tensors |= {f"best_views.{name}": getattr(views, name) for name in ("camera", "light", "intensity")}
         note = {"iteration": self.iteration, "seconds": self.seconds, "undone": self.undone,
                 "best_rmse": rmse, "trace": self.trace, "method": type(self.method).__name__,
-                "bsdf": svbrdf.bsdf, "task": self._task()}
+                "bsdf": svbrdf.bsdf, "task": self._task(),
+                "lacked": self._limits if self.method.cut_short else []}
         save_tensors(self.checkpoint, tensors, note)
 
     def resume(self, path: Path) -> None:
-        """Continue from a checkpoint; ConfigError: it is none, or of another kind of fit."""
+        """Continue from a checkpoint. A fit that lacked time begins anew if its limits were raised to more
+        than twice the seconds that it took: nothing builds on what it decided in a hurry. ConfigError: it is
+        no checkpoint, or of another kind of fit.
+        """
         tensors, note = load_tensors(path)
         if note.get("method") != type(self.method).__name__ or note.get("bsdf") != self.config.bsdf:
             raise ConfigError(f"a checkpoint of {type(self.method).__name__} / {self.config.bsdf}",
@@ -228,6 +237,10 @@ class Loop:
         try:
             if wrong := shape_error(note, NOTE):
                 raise ValueError(f"{wrong} in its note")
+            raised = any(now > then for now, then in zip(self._limits, note["lacked"]))
+            if raised and self._limits[0] > 2 * note["seconds"]:
+                self.seconds = note["seconds"]
+                return
             self.method.load_state(part(tensors, "method."))
             lit = part(tensors, "best_views.")
             views = replace(self.method.views, camera=lit["camera"], light=lit["light"],

@@ -7,6 +7,7 @@ from .config import HierarchicalConfig, HybridConfig
 from .detail_config import DetailConfig
 from .fixed_maps import described, unknown_but
 from .gan_config import FEWEST, GanConfig
+from .generator.highlight_discriminator import PATCH
 from .hierarchical.omitted import decided_later, omitted_stages
 from .posterior import step_of
 from .task import FitTask
@@ -14,6 +15,7 @@ from .task import FitTask
 # Reasons, for methods that solve every texel by itself.
 _NO_GENERATOR = ("each texel is solved by itself, and at equal time that errs less in the maps: "
                  "docs/results/benchmark.md")
+TOO_LITTLE = f"fewer than {FEWEST} photos, or {PATCH} pixels a side: too little to hold out"
 _LOOKS = "texels are means over the looks of the photo"
 _NO_DISCRIMINATOR = "there is no generator to teach: each pixel's error says what to change"
 
@@ -38,6 +40,8 @@ def omitted_by(task: FitTask, views: Views | None = None) -> list[Omitted]:
     if not isinstance(config, (GanConfig, HybridConfig)):
         items += [Omitted("generator", _LOOKS if task.of_looks else _NO_GENERATOR),
                   Omitted("discriminator", _NO_DISCRIMINATOR)]
+    elif not used(task):
+        items += [Omitted(what, TOO_LITTLE) for what in ("generator", "discriminator")]
     elif "discriminator" not in dict(used(task)):
         items.append(Omitted("discriminator", "no loss asks for its verdict"))
     return items
@@ -58,7 +62,7 @@ def used(task: FitTask) -> list[tuple[str, str]]:
                                f"{config.width}")]
         verdicts = {"adversarial": config.adversarial}
     elif isinstance(config, GanConfig) and config.begins == "solved":
-        if len(task.capture) < FEWEST:
+        if len(task.capture) < FEWEST or task.capture.resolution < PATCH:
             return []
         items = [("generator", "changes solved maps within what photos leave open; width "
                                f"{DetailConfig.width}")]

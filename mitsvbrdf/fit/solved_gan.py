@@ -32,6 +32,7 @@ from .generator.detail import DetailTraining
 from .generator.highlight_discriminator import PATCH
 from .hierarchical import Hierarchical
 from .method import Method
+from .omitted import TOO_LITTLE
 from .one_photo import OnePhoto
 from .task import FitTask
 
@@ -186,7 +187,7 @@ class SolvedGan(Method[GanConfig]):
     @property
     def cut_short(self) -> bool:
         """Whether the answer of all photos has not settled."""
-        return not self.solvers[0].done or self.solvers[0].cut_short
+        return (self.stage > 0 or self.ended) and not self.solvers[0].done or self.solvers[0].cut_short
 
     def cut_step(self) -> None:
         """Halve the step sizes of the game."""
@@ -197,12 +198,12 @@ class SolvedGan(Method[GanConfig]):
     def omitted(self) -> list[Omitted]:
         """What the solver omitted, and the maps that the game did not help."""
         if self.game:
-            why = "photos held out are predicted no better with it, or all worse: the map stays as solved"
+            why = ("photos held out are predicted no better with it, or all worse" if self.steps >= BEAT else
+                   "the run ended before it was judged") + ": the map stays as solved"
             found = [Omitted(f"the game's change of {name}", why) for name in self.game.bounded.bounds
                      if name not in self.kept]
         else:
-            why = ("no time was left for it, or the run was stopped" if self.playable else
-                   f"fewer than {FEWEST} photos, or {PATCH} pixels a side: too little to hold out")
+            why = "no time was left for it, or the run was stopped" if self.playable else TOO_LITTLE
             found = [Omitted("the game", f"{why}; the maps stay as solved")]
         return self.solvers[0].omitted + found
 

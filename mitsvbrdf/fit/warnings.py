@@ -9,7 +9,7 @@ from torch import Tensor
 from ..capture import Capture
 from ..color import CLIPPED
 from ..measure.burn_in import LOCAL_SIDE, burn_in, local_burn_in
-from .confidence import DETERMINED, of_texels
+from .confidence import DETERMINED, of_texels, shown_texels
 from .config import HierarchicalConfig
 from .fixed_maps import described
 from .repeats import HARDLY_TOLD
@@ -47,7 +47,7 @@ def fit_warnings(result: Fit, capture: Capture) -> Iterator[str]:
     if len(capture) == 1 and "repeats" not in result.record:  # else the sentence on repeats says more
         yield f"one photo: {HARDLY_TOLD}"
     yield from _light(result, capture)
-    yield from _implausible(result)
+    yield from _implausible(result, shown_texels(capture))
     yield from _errors(result, capture)
     yield from _burnt_in(result)
     yield from _cut_short(result)
@@ -111,18 +111,19 @@ def _light(result: Fit, capture: Capture) -> Iterator[str]:
     if white > WHITE_SHARE:
         yield f"{white:.0%} of the diffuse map is as white as can be: the light may be stronger than stated"
     specular, spread = float(material["specular"].median()), result.deviations.get("specular")
-    if spread is not None and (of_texels(spread) < DETERMINED).float().mean() > 0.25 and 0 < specular < FAINT:
+    sure = None if spread is None else of_texels(spread)[shown_texels(capture)] < DETERMINED
+    if sure is not None and sure.float().mean() > 0.25 and 0 < specular < FAINT:
         yield (f"specular of {specular:.2g} is below that of any known material: the light may be "
                "weaker than stated")
 
 
-def _implausible(result: Fit) -> Iterator[str]:
+def _implausible(result: Fit, shown: Tensor) -> Iterator[str]:
     """Maps that no usual material has, and what would tell more."""
     material, fixed = result.svbrdf.as_roughconductor(), described(result.config.fix)
     spread = result.deviations.get("specular")
     if spread is not None and "specular" not in fixed:
-        unsure = of_texels(spread) >= DETERMINED
-        level, share = float(material["specular"].median()), 1 - float(unsure.float().mean())
+        unsure = shown & (of_texels(spread) >= DETERMINED)
+        level, share = float(material["specular"].median()), 1 - float(unsure[shown].float().mean())
         if level > STRONG and share < HARDLY:
             yield (f"median specular (F0) of {level:.2g}, {share:.0%} of it determined: a metal's, or a "
                    "guess. Add a photo "

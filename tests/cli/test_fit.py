@@ -17,12 +17,14 @@ SHOTS = SimpleNamespace(names=("00",), views=SimpleNamespace(falloff="inverse-sq
 
 @pytest.mark.parametrize("stopped, before, words", [
     ("settled", None, "settled after 31 s: it ended by itself"), ("settled", 60, "settled after 31 s"),
-    ("settled", 90, "nothing was left to do"), ("budget", None, None),
-    ("interrupted", None, "the best result so far")])
+    ("settled", 90, "settled after 31 s"), ("budget", 90, "nothing was left to do"), ("budget", 60, None),
+    ("budget", None, None), ("unstable", 90, None), ("interrupted", None, "the best result so far")])
 def test_how_it_ended(stopped, before, words, capsys):
-    _say_result(SimpleNamespace(**ENDED, stopped=stopped), SHOTS, before)
+    _say_result(SimpleNamespace(**ENDED, stopped=stopped), SHOTS,
+                before and ENDED["trace"][0] | {"iteration": before})
     said = capsys.readouterr().out
     assert ("settled" in said) == bool(words and words.startswith("settled"))
+    assert ("nothing was left" in said) == bool(words and words.startswith("nothing"))
     assert (words or "Re-rendering RMSE") in said
 
 

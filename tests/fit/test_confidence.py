@@ -10,7 +10,15 @@ from helpers import ANALYTIC, GRID, TWIN, photos_of
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.fit import DirectConfig, FitTask, HierarchicalConfig, fit_svbrdf
-from mitsvbrdf.fit.confidence import DETERMINED, UNKNOWN, confidence, deviations, of_texels, seen_by
+from mitsvbrdf.fit.confidence import (
+    DETERMINED,
+    UNKNOWN,
+    confidence,
+    deviations,
+    of_texels,
+    seen_by,
+    shown_texels,
+)
 from mitsvbrdf.fit.posterior import Mixture, OwnPhotos, masses, with_look_alikes
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat, numbers_of
@@ -209,9 +217,21 @@ def test_clipped_pixels_say_that_it_is_bright_and_no_more():
 @pytest.mark.slow
 def test_one_photo_determines_less_than_nine(leather):
     results = [fit_svbrdf(c, ANALYTIC, DirectConfig(iterations=40)) for c in (leather, leather.pick([0]))]
-    nine, one = (confidence(r.deviations, {}) for r in results)
+    nine, one = (confidence(r.deviations, {}, shown_texels(leather)) for r in results)
     for name in ("specular", "roughness", "normal"):
         assert nine[name]["determined_share"] > one[name]["determined_share"] + 0.2, name
+
+
+def test_texels_under_a_mask_are_not_counted():
+    capture = photos_of(flat(SIDE, diffuse=0.3), GRID)
+    hidden = capture.but(measured=torch.ones(len(capture), SIDE, SIDE, dtype=torch.bool))
+    hidden.measured[:, : SIDE * 3 // 4] = False
+    hidden.measured[0, 0, 0] = True  # one photo shows it
+    shown = shown_texels(hidden)
+    assert int(shown.sum()) == SIDE * (SIDE // 4) + 1 and bool(shown_texels(capture).all())
+    spread = {"diffuse": torch.where(shown, 0.01, 0.2887)[..., None]}
+    assert confidence(spread, {}, shown)["diffuse"] == pytest.approx(
+        {"median_sd": 0.01, "determined_share": 1.0})
 
 
 @pytest.mark.parametrize("hidden, noisier", [(True, 1.0), (False, 1.4)])

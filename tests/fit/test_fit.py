@@ -281,6 +281,11 @@ def test_settings_that_do_not_go_together_are_refused(settings, said):
         GanConfig(**settings).check()
 
 
+def test_settings_of_another_preset_are_not_called_the_papers():
+    with pytest.raises(ConfigError, match="anew instead of replace"):
+        dataclasses.replace(GanConfig(), preset="paper-one-stage").check()
+
+
 def test_only_the_papers_first_stage_is_pretrained(capture, tmp_path):
     for wrong, said in ((GanConfig(), "preset minutes"),
                         (GanConfig(preset="paper-two-stage", pretrained="a.pt"), "a.pt")):

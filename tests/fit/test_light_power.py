@@ -18,6 +18,7 @@ from mitsvbrdf.render import make_renderer
 from mitsvbrdf.views import Views
 
 SURE = {"diffuse": torch.zeros(8, 8, 3), "specular": torch.zeros(8, 8, 3)}
+SHOWN = torch.ones(8, 8, dtype=torch.bool)
 
 
 @pytest.mark.parametrize("specular, diffuse, sd, factor", [
@@ -26,16 +27,25 @@ SURE = {"diffuse": torch.zeros(8, 8, 3), "specular": torch.zeros(8, 8, 3)}
     ids=["dark light", "bright light", "no whiter than white", "metal", "no highlight seen", "no lobe"])
 def test_power_by_closed_form(specular, diffuse, sd, factor):
     maps = flat(16, specular=specular, roughness=0.3, diffuse=diffuse)
-    told = light_power_told(maps, {**SURE, "specular": SURE["specular"] + sd})
+    told = light_power_told(maps, {**SURE, "specular": SURE["specular"] + sd}, SHOWN)
     assert told == (None if factor is None else pytest.approx(factor, rel=1e-6))
 
 
 def test_maps_that_are_known_tell_nothing():
     maps = flat(16, specular=0.08, roughness=0.3, diffuse=0.3)
-    assert light_power_told(maps, {"specular": SURE["specular"]}) is None  # --fix diffuse
+    assert light_power_told(maps, {"specular": SURE["specular"]}, SHOWN) is None  # --fix diffuse
     principled = SVBRDF("principled", {"base_color": maps["diffuse"], "metallic": maps["roughness"],
                                        "roughness": maps["roughness"], "normal": maps["normal"]})
-    assert light_power_told(principled, SURE | {"base_color": SURE["diffuse"]}) is None
+    assert light_power_told(principled, SURE | {"base_color": SURE["diffuse"]}, SHOWN) is None
+
+
+def test_texels_under_a_mask_have_no_voice():
+    maps, unsure = flat(16, specular=0.08, roughness=0.3, diffuse=0.3), torch.full((8, 8, 3), 0.2)
+    unsure[:3] = 0.0  # fewer than half tell the power, and of those that are shown, all
+    shown = torch.zeros(8, 8, dtype=torch.bool)
+    shown[:3] = True
+    assert light_power_told(maps, SURE | {"specular": unsure}, SHOWN) is None
+    assert light_power_told(maps, SURE | {"specular": unsure}, shown) == pytest.approx(2.0, rel=1e-6)
 
 
 def test_photos_stay_as_they_are():

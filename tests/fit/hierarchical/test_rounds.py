@@ -157,6 +157,16 @@ def test_settled_and_nothing_left(capture, tmp_path):
     assert all(torch.equal(again.svbrdf[name], result.svbrdf[name]) for name in result.svbrdf.maps)
 
 
+def test_a_fit_that_lacked_rounds_begins_anew_with_more(two_stages, capture, tmp_path):
+    short, more = HierarchicalConfig(iterations=6), HierarchicalConfig(iterations=12)
+    fit_svbrdf(capture, MITSUBA, short, checkpoint=tmp_path / "c")
+    kept = fit_svbrdf(capture, MITSUBA, short, resume=tmp_path / "c")  # no more than before: it is whole
+    assert kept.trace[-1]["iteration"] == 6
+    whole, again = (fit_svbrdf(capture, MITSUBA, more, **given) for given in ({}, {"resume": tmp_path / "c"}))
+    assert all(torch.equal(value, again.svbrdf[name]) for name, value in whole.svbrdf.maps.items())
+    assert again.trace[0]["seconds"] >= kept.trace[-1]["seconds"]  # those of before are counted
+
+
 def test_ctrl_c_keeps_the_last(capture, tmp_path):
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
