@@ -85,7 +85,7 @@ def relight(
                     "material": digest(*svbrdf.maps.values(), *lit), "environment": environment,
                     "environment_file": sky, "size": pixels, "frames": frames, "tiling": tiling,
                     "exposure": exposure, "samples": samples, "seed": seed, "variant": variant}
-        with results.output_folder(out, overwrite or resume, resume, kept_names(PRESETS)) as folder:
+        with results.output_folder(out, overwrite, resume, kept_names(PRESETS)) as folder:
             record = go_on(settings, out, folder) if resume else begin(settings)
 
             def done(stage: Stage) -> None:

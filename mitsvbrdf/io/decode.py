@@ -6,7 +6,7 @@ import contextlib
 import importlib
 import struct
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
@@ -97,6 +97,8 @@ def header(path: Path, error: type[MitsvbrdfError]) -> Header:
                 masked = masked and tags.get(EXTRA_SAMPLES, (0,))[0]
                 mode = ("P" if tags.get(BITS, (1,))[0] < 8 else
                         NEGATIVE if tags.get(PHOTOMETRIC) == 0 else mode)
+                if mode == "P":  # read by Pillow, which turns it upright
+                    turned, size = 1, size[::-1] if turned in (5, 6, 7, 8) else size
             return Header(kind, size, turned if turned in range(1, 9) else 1, "RGBA" if masked else mode,
                           profile_of(image, path))
 
@@ -114,9 +116,9 @@ def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Pict
         if about.kind == "JPEG" and about.mode in ("L", "RGB"):
             pixels = _jpeg(path, content)
         elif about.kind == "PNG":
-            pixels = _png(path, content, about.mode == "RGBA")
+            pixels = _decoded(imagecodecs.png_decode, content, about.mode == "RGBA")
         elif about.kind == "TIFF" and about.mode != "P":  # for a palette, libtiff gives the indices
-            pixels = _tiff(content, about.mode == "RGBA")
+            pixels = _decoded(imagecodecs.tiff_decode, content, about.mode == "RGBA")
             pixels = ~pixels if about.mode == NEGATIVE else pixels
         else:
             pixels = _by_pillow(path, about)
@@ -162,31 +164,17 @@ def check_size(path: Path, size: tuple[int, int], error: type[MitsvbrdfError]) -
 
 @contextlib.contextmanager
 def opened(path: Path, kind: str) -> Iterator[Image.Image]:
-    """Open a file in Pillow as this kind alone: Pillow hands PostScript of any name to Ghostscript."""
+    """Open a file in Pillow as this kind alone: Pillow hands PostScript of any name to Ghostscript.
+
+    By its name, Pillow would map a plain TIFF into memory, and not turn it upright as it does all others.
+    """
     most, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
     try:
-        with warnings.catch_warnings(action="ignore"), Image.open(path, formats=(kind,)) as image:  # of EXIF
+        with (warnings.catch_warnings(action="ignore"), open(path, "rb") as file,  # of EXIF
+              Image.open(file, formats=(kind,)) as image):
             yield image
     finally:
         Image.MAX_IMAGE_PIXELS = most
-
-
-def _png(path: Path, content: bytes, masked: bool) -> np.ndarray:
-    import cv2
-
-    with opened(path, "PNG") as image:
-        image.verify()  # its checksums; OpenCV only prints that one is wrong
-    how = (cv2.IMREAD_UNCHANGED if masked else
-           cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
-    try:
-        pixels = cv2.imdecode(np.frombuffer(content, np.uint8), how)
-    except cv2.error as reason:
-        raise ValueError(str(reason)) from None
-    if pixels is None or pixels.dtype not in (np.uint8, np.uint16):
-        raise ValueError("no 8- or 16-bit image")
-    if masked and pixels.ndim == 3 and pixels.shape[2] == 4:
-        return cv2.cvtColor(pixels, cv2.COLOR_BGRA2RGBA, dst=pixels)
-    return cv2.cvtColor(pixels, cv2.COLOR_BGR2RGB, dst=pixels)
 
 
 def _jpeg(path: Path, content: bytes) -> np.ndarray:
@@ -203,10 +191,10 @@ def _jpeg(path: Path, content: bytes) -> np.ndarray:
         return pixels
 
 
-def _tiff(content: bytes, masked: bool) -> np.ndarray:
+def _decoded(decode: Callable[[bytes], np.ndarray], content: bytes, masked: bool) -> np.ndarray:
     try:
-        pixels = imagecodecs.tiff_decode(content)
-    except Exception as reason:  # libtiff's own
+        pixels = decode(content)
+    except Exception as reason:  # the library's own
         raise ValueError(str(reason)) from None
     if pixels.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"an image of 8 or 16 bits is needed, not of {pixels.dtype}")

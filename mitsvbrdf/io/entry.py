@@ -3,7 +3,7 @@
 torch's default dtype belongs to the process, gradient and inference mode to the thread. Behind the edge the
 default dtype is float32, gradients are recorded where a function needs them, and no tensor is an inference
 tensor, which autograd refuses. The program's own default comes back when the last call of all threads ends.
-Where a program imported torch first, OpenMP's idle threads spin; torch then gets one thread.
+Where a program imported torch first, OpenMP's idle threads spin; torch then has one thread during calls.
 """
 
 import contextlib
@@ -26,6 +26,7 @@ SPINS = os.environ.get("OMP_WAIT_POLICY", "").upper() != "PASSIVE"  # we set it 
 _lock = threading.Lock()
 _calls = 0  # calls of all threads that are behind the edge now
 _default = torch.float32  # the default dtype that the first of these calls found
+_threads: dict[int, int] = {}  # of torch, by the thread that is behind the edge: it has so many again later
 _undo: dict[str, Callable[[], object]] = {}  # what undoes each other change, by its name ``what``
 
 
@@ -56,16 +57,20 @@ def _float32() -> Iterator[None]:
         if not _calls:
             _default = torch.get_default_dtype()
             torch.set_default_dtype(torch.float32)
-            if SPINS:
-                threads = torch.get_num_threads()
-                torch.set_num_threads(1)
-                _undo["threads"] = functools.partial(torch.set_num_threads, threads)
         _calls += 1
+        me = threading.get_ident()
+        outermost = SPINS and me not in _threads
+        if outermost:  # a new thread begins with the number that was set last, which is ours beside a call
+            threads = torch.get_num_threads()
+            _threads[me] = max(_threads.values()) if threads == 1 and _threads else threads
+            torch.set_num_threads(1)
     try:
         yield
     finally:
         later: list[Callable[[], object]] = []
         with _lock:
+            if outermost:
+                torch.set_num_threads(_threads.pop(me))
             _calls -= 1
             if not _calls:
                 torch.set_default_dtype(_default)

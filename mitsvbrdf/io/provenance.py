@@ -1,10 +1,12 @@
 """Where a figure comes from: the machine, and the versions of what it was made with."""
 
+import contextlib
 import importlib.metadata
 import os
 import platform
 from pathlib import Path
 
+GROUPS = Path("/sys/fs/cgroup")
 PACKAGES = ("mitsvbrdf", "mitsuba", "drjit", "torch", "numpy", "opencv-contrib-python-headless", "OpenEXR",
             "av")
 
@@ -30,14 +32,35 @@ def version_of(distribution: str) -> str | None:
 
 def usable_cores() -> int:
     """How many cores this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    for group in _groups():
+        with contextlib.suppress(OSError, ValueError):  # without a limit it says max
+            quota, period = map(int, (group / "cpu.max").read_text().split())
+            cores = min(cores, max(1, quota // period))
+    return cores
 
 
 def memory_gib() -> tuple[float, float]:
-    """Memory of this machine, all of it and what is available, in GiB; infinity where it cannot be told."""
-    try:
+    """Memory of this machine or container, all of it and what is available, in GiB; infinity where it cannot
+    be told.
+    """
+    total = free = float("inf")
+    with contextlib.suppress(OSError, KeyError, ValueError):
         told = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
         total, free = (int(told[name].split()[0]) / 2**20 for name in ("MemTotal", "MemAvailable"))
-        return total, free
-    except (OSError, KeyError, ValueError):
-        return float("inf"), float("inf")
+    for group in _groups():
+        with contextlib.suppress(OSError, KeyError, ValueError):  # without a limit it says max
+            most, held = (int((group / f"memory.{what}").read_text()) for what in ("max", "current"))
+            told = dict(line.split() for line in (group / "memory.stat").read_text().splitlines())
+            total = min(total, most / 2**30)
+            free = min(free, (most - held + int(told["inactive_file"])) / 2**30)
+    return total, free
+
+
+def _groups() -> list[Path]:
+    """Folders of the control groups (version 2) of this process, which limit containers and jobs."""
+    try:
+        own = GROUPS / Path("/proc/self/cgroup").read_text().partition("0::/")[2].split("\n")[0]
+    except OSError:
+        return []
+    return [each for each in (own, *own.parents) if each.is_relative_to(GROUPS)]

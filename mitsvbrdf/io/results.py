@@ -23,6 +23,7 @@ from .progress import say
 from .signals import deferred_signals
 
 CHECKPOINT = "checkpoint.safetensors"
+UNFINISHED = CHECKPOINT, "relight.json"  # what an unfinished run of `fit` or `relight` has
 GLANCE = 0.05  # seconds for which a call of :func:`in_use` may hold the lock
 
 
@@ -42,8 +43,8 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False, keep: tuple[
     result is removed as a whole, with the :data:`DERIVED` folders that commands made from it.
 
     Args:
-        overwrite: whether an earlier result, or an unfinished run, may be replaced.
-        resume: go on in the partial folder of an interrupted run.
+        overwrite: whether an earlier result, or an unfinished run of any command, may be replaced.
+        resume: go on in the partial folder of an interrupted run; an earlier result is replaced.
         keep: files and folders to resume from.
         add: the new files join those in ``out`` (hard links in the new folder) and replace only files of ours
             that have the same name. An unfinished run stays as it is.
@@ -107,14 +108,14 @@ def _check_free(out: Path, overwrite: bool, resume: bool, keep: tuple[str, ...],
         if files.in_use(place):
             raise files.taken(place)
     if out.is_dir() and not add:
-        if not overwrite and any(out.iterdir()):
+        if not (overwrite or resume) and any(out.iterdir()):
             raise OutputError("an empty or new output folder", f"{out}, which has results",
                               "add --overwrite to replace them, or choose another folder")
         _check_ours(out)
-    unfinished = not _is_earlier(partial, out) and any(os.path.lexists(partial / name) for name in keep)
-    if unfinished and not (overwrite or resume):
+    unfinished = [name for name in UNFINISHED if os.path.lexists(partial / name)]
+    if unfinished and not (add or overwrite or resume and unfinished[0] in keep or _is_earlier(partial, out)):
         raise OutputError("no unfinished run", f"the one in {partial}",
-                          "--resume goes on, --overwrite starts anew")
+                          "--resume of its command goes on, --overwrite starts anew")
 
 
 def _check_ours(out: Path) -> None:

@@ -54,8 +54,10 @@ def stop_signals() -> Iterator[list[int]]:
     if threading.current_thread() is not threading.main_thread() or pressed not in ours:
         yield stop  # somebody else listens
         return
-    # A script's job in the background must not hear Ctrl-C; SIGTERM still ends it.
-    heard = (signal.SIGTERM,) if pressed == signal.SIG_IGN else (signal.SIGINT, signal.SIGTERM)
+    # A script's job in the background must not hear Ctrl-C; SIGTERM still ends it. A program's own handler of
+    # SIGTERM stays.
+    heard = [number for number, plain in ((signal.SIGINT, ours[:2]), (signal.SIGTERM, (signal.SIG_DFL,)))
+             if signal.getsignal(number) in plain]
     before = {number: signal.signal(number, asked_to_stop) for number in heard}
     try:
         yield stop
@@ -71,8 +73,9 @@ def deferred_signals() -> Iterator[None]:
         yield
         return
     heard: dict[int, None] = {}
+    # None: a handler that was set in C, which Python could not put back
     before = {number: signal.signal(number, lambda number, _: heard.setdefault(number))
-              for number in (signal.SIGINT, signal.SIGTERM)}
+              for number in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(number) is not None}
     try:
         yield
     finally:

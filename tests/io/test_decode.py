@@ -81,6 +81,19 @@ def test_pictures_are_turned_as_pillow_turns_them(orientation):
     assert np.array_equal(upright(PIXELS, orientation), np.asarray(turned))
 
 
+@pytest.mark.parametrize("orientation", [2, 3, 6])
+@pytest.mark.parametrize("mode", ["P", "1"])
+def test_a_tiff_that_pillow_decodes_is_turned_once(mode, orientation, tmp_path):
+    exif = Image.Exif()
+    exif[0x0112] = orientation
+    picture = Image.fromarray(PIXELS).quantize(16) if mode == "P" else Image.fromarray(PIXELS).convert("1")
+    found = read(tmp_path, encoded("TIFF", picture, exif=exif))
+    about = header(tmp_path / "photo", CaptureError)
+    assert np.array_equal(upright(found, about.orientation),
+                          upright(np.asarray(picture.convert("RGB")), orientation))
+    assert about.size == found.shape[1::-1]
+
+
 @pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.9])
 @pytest.mark.parametrize("kind", ["JPEG", "PNG"])
 def test_a_picture_that_ends_early_is_refused_by_name(tmp_path, kind, share):

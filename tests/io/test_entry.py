@@ -13,7 +13,35 @@ from torch import Tensor
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
+from mitsvbrdf.io import entry as edge
 from mitsvbrdf.io.entry import entry
+
+
+def test_each_thread_has_its_number_of_threads_again(monkeypatch):
+    monkeypatch.setattr(edge, "SPINS", True)
+    before, entered, leave = torch.get_num_threads(), threading.Event(), threading.Event()
+
+    @entry()
+    def long():
+        entered.set()
+        leave.wait(10)
+
+    @entry()
+    def seen():
+        return torch.get_num_threads()
+
+    try:
+        torch.set_num_threads(3)
+        with ThreadPoolExecutor(2) as pool:
+            other = pool.submit(long)
+            entered.wait(10)
+            new = pool.submit(lambda: (seen(), torch.get_num_threads()))
+            assert seen() == 1 and torch.get_num_threads() == 3 and new.result() == (1, 3)
+            leave.set()
+            other.result()
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)
 
 
 @pytest.fixture

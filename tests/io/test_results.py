@@ -253,6 +253,18 @@ def test_an_unfinished_run_is_kept_and_gone_on_from(tmp_path):
     assert there(out) == [results.CHECKPOINT] and results.checkpoints(out) == [out / results.CHECKPOINT]
 
 
+@pytest.mark.parametrize("left, keep", [("relight.json", (results.CHECKPOINT,)),
+                                        (results.CHECKPOINT, ("relight.json", "sweep"))])
+def test_an_unfinished_run_of_another_command_is_not_lost(tmp_path, left, keep):
+    partial = unfinished(tmp_path / "out", left)
+    for resume in (False, True):
+        with pytest.raises(OutputError, match="no unfinished run"):
+            make(tmp_path / "out", "one", keep=keep, resume=resume)
+    assert there(partial) == [left]
+    make(tmp_path / "out", "one", keep=keep, overwrite=True)
+    assert there(tmp_path / "out") == ["one"] and not partial.exists()
+
+
 def test_an_earlier_result_that_a_kill_left_is_no_unfinished_run(tmp_path):
     out, partial = tmp_path / "out", results.partial_folder(tmp_path / "out")
     for text in ("old", "new"):

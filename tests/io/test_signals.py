@@ -46,6 +46,24 @@ def test_somebody_else_listens():
         assert heard and not stop
 
 
+def test_a_programs_own_handler_of_sigterm_stays():
+    heard = []
+    signal.signal(signal.SIGTERM, lambda *_: heard.append(1))
+    with stop_signals() as stop:
+        signal.raise_signal(signal.SIGTERM)
+        assert heard and not stop
+        signal.raise_signal(signal.SIGINT)
+        assert stop
+
+
+def test_a_handler_that_was_set_in_c_stays(monkeypatch):
+    monkeypatch.setattr(signal, "getsignal", lambda number: None)  # as Python then says
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with deferred_signals():
+        pass
+    assert signal.signal(signal.SIGINT, before) == signal.SIG_IGN
+
+
 def test_what_comes_while_nobody_may_disturb_is_heard_afterwards(capsys):
     done = []
 
