@@ -47,9 +47,12 @@ def assert_matches_golden(result: Tensor | SVBRDF, name: str, *, rtol: float = 1
         AssertionError: it differs, has another shape, is not finite, or there is no golden file; the message
             names the page, the new EXR file and the way to accept it.
         MapsError: a result of another kind, or a golden file that cannot be read.
-        ConfigError: a bad name, or a call outside a test.
+        ConfigError: a bad name, a call outside a test, or neither ``rtol`` nor ``flip`` to compare by.
     """
     __tracebackhide__ = True
+    if math.isinf(rtol) and flip >= 1:
+        raise ConfigError("a finite rtol, or a flip below 1", f"rtol={rtol}, flip={flip}",
+                          "with these, everything matches")
     path, layers = _golden_path(name), _layers(result)
     if not all(torch.isfinite(layer).all() for layer in layers.values()):
         raise AssertionError(f"{name} has values that are not finite: it was neither compared nor written")

@@ -8,6 +8,7 @@ heavy. Its entry point has the module's name: pytest then loads it once, whether
 from collections.abc import Generator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -41,6 +42,18 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
         return (yield)
     finally:
         running.now = before
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    """Hand the names of written golden files from a worker of pytest-xdist to the process that prints."""
+    if hasattr(session.config, "workeroutput"):
+        session.config.workeroutput["mitsvbrdf"] = [str(path) for path in session.config.stash[SUITE].written]
+
+
+@pytest.hookimpl(optionalhook=True)
+def pytest_testnodedown(node: Any) -> None:
+    """Take them; a worker that crashed has none."""
+    node.config.stash[SUITE].written += map(Path, getattr(node, "workeroutput", {}).get("mitsvbrdf", ()))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: pytest.Config) -> None:

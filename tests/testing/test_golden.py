@@ -9,6 +9,7 @@ import OpenEXR
 import pytest
 import torch
 from helpers import ROOT
+from helpers.golden_suite import PLUGIN
 
 from mitsvbrdf.errors import ConfigError, MapsError
 from mitsvbrdf.testing import assert_matches_golden, running
@@ -66,6 +67,13 @@ def test_updating_replaces_what_changed_alone(accepted):
     after = accepted.kept()
     assert after["grey.exr"] != before["grey.exr"] and after["maps.exr"] == before["maps.exr"]
     accepted.run(passed=3)
+
+
+@pytest.mark.slow
+def test_workers_of_xdist_name_what_they_wrote(suite):
+    said = suite.pytester.runpytest_subprocess("-p", "xdist.plugin", "-n", "1", "-p", PLUGIN,
+                                               "--mitsvbrdf-update").stdout.str()
+    assert sorted(re.findall(r"mitsvbrdf: wrote .*/(.*)", said)) == sorted(suite.kept())
 
 
 def test_another_shape_is_told(accepted):
@@ -129,6 +137,11 @@ def test_flip_may_decide_alone(suite):
 def test_results_and_names_that_cannot_be_golden(result, name, error, said, report):
     with pytest.raises(error, match=said):
         assert_matches_golden(result, name)
+
+
+def test_a_comparison_of_nothing_is_refused():
+    with pytest.raises(ConfigError, match="everything matches"):
+        assert_matches_golden(torch.zeros(4, 4, 3), "a", rtol=math.inf)
 
 
 def test_golden_files_need_a_running_test(monkeypatch):
