@@ -90,21 +90,21 @@ class Views:
         Args:
             camera: N x 3.
             light: N x 3. Default: at the camera.
-            intensity: a number, 3 numbers, or N x 3.
+            intensity: a number, 3 numbers, N x 3, or N x 1 of white lights.
 
         Raises:
             CaptureError: it names the first wrong row.
         """
         try:
-            camera = torch.as_tensor(camera, dtype=torch.float64).reshape(-1, 3)
-            light = (camera.clone() if light is None
-                     else torch.as_tensor(light, dtype=torch.float64).reshape(-1, 3))
-            power = torch.as_tensor(intensity, dtype=torch.float64)
-            power = power.expand(len(camera), 3) if power.ndim < 2 else power.reshape(-1, 3)
+            camera, light, power = (torch.as_tensor(camera if values is None else values, dtype=torch.float64)
+                                    for values in (camera, light, intensity))
+            if any(values.ndim > 2 or values.shape[-1:] != (3,) for values in (camera, light)):
+                raise ValueError(f"shapes {tuple(camera.shape)} and {tuple(light.shape)}")
+            camera, light = camera.reshape(-1, 3).clone(), light.reshape(-1, 3).clone()
+            power = power.expand(len(camera) if power.ndim < 2 or len(power) == 1 else len(power), 3)
             size = float(size)
         except (TypeError, ValueError, RuntimeError) as error:
             raise CaptureError("rows of three numbers", str(error), "check the calibration") from None
-        power = power.expand(len(camera), 3) if len(power) == 1 else power
         views = cls(camera, light, power.clone(), size, falloff)
         views.check()
         return views

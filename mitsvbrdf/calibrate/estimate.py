@@ -249,5 +249,6 @@ class Problem:
 
 def _radiance(capture: Capture, side: int) -> np.ndarray:
     """Linear grey N x R x R, float64, area-averaged to ``side`` at most."""
-    grey = color.decode(capture.photos.double(), capture.transfer).mean(dim=-1)
-    return F.adaptive_avg_pool2d(grey, min(side, capture.resolution)).numpy()
+    return np.stack([F.adaptive_avg_pool2d(
+        color.decode(color.shown(photo).double(), capture.transfer).mean(dim=-1)[None],
+        min(side, capture.resolution))[0].numpy() for photo in capture.stored])

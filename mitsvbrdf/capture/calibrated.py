@@ -74,7 +74,7 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
     photos = _numbered(path.parent / stated["target_dir"])
     index = stated.get("idx")
     if uncalibrated:
-        stated = stated | _assumed(stated, path, max(photos) + 1)
+        stated = stated | _assumed(stated, path, len(photos) if index is None else max(photos) + 1)
     stated = {"transfer": "gamma2.2", "calibration": "given"} | stated  # other tools do not state these
     for key, known in (("transfer", get_args(color.Transfer)), ("calibration", get_args(Calibration))):
         if stated[key] not in known:
@@ -83,7 +83,6 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
     camera = _stated(stated["camera_pos"], ROWS, f"camera_pos in {path}")
     light = _stated(stated["light_pos"], ROWS, f"light_pos in {path}") if "light_pos" in stated else camera
     if index is None:
-        index = list(photos)
         _same_count(f"camera_pos in {path}", len(camera), len(photos))
     elif not isinstance(index, list) or not index or not all(type(i) is int and i >= 0 for i in index):
         raise CaptureError("idx as a list of photo numbers", f"{index!r} in {path}",
@@ -97,7 +96,9 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
         raise CaptureError(f"a row of camera_pos for each of {len(index)} photos in idx (the last is "
                            f"{max(index)})",
                            f"{len(camera)} rows in {path}", "give one row a photo, or shorten idx")
-    views = _views(camera, light, stated["light_pow"], size, falloff, str(path)).pick(index)
+    views = _views(camera, light, stated["light_pow"], size, falloff, str(path)).pick(
+        range(len(photos)) if index is None else index)  # without idx, rows are those of the photos in order
+    index = list(photos) if index is None else index
     return _calibrated([photos[i] for i in index], views, stated["transfer"], index, path.parent,
                        resolution, stated["calibration"],
                        _stated(stated.get("colours", {}), COLOURS, f"colours in {path}"))

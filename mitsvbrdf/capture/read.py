@@ -111,10 +111,10 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
 
 @entry()
 def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None) -> None:
-    """Write ``capture.json`` and ``target/NN.png``, so that :func:`read_capture` gives the same back.
+    """Write ``capture.json`` and ``target/NN.png``, for :func:`read_capture`. The falloff is not kept.
 
-    Photos are numbered anew from 0; lengths stay in the capture's unit. Files have 8 bits,
-    those of linear photos 16.
+    Photos are numbered anew from 0; lengths stay in the capture's unit. Files have 8 bits, those of linear
+    photos 16.
 
     Args:
         keys: further keys of the JSON, as :func:`~mitsvbrdf.capture.stages.capture_keys` makes them.
@@ -160,14 +160,15 @@ def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer
     """
     from .align.from_sheet import refuse_tags
     from .rig import LEAST_PHOTOS, OnePlace
-    from .stages import make_capture
+    from .stages import MOST_SIDE, make_capture
 
     photos = [Photo.open(path) for path in ([folder] if folder.is_file() else photos_in(folder))]
     reason = f"{LEAST_PHOTOS} or more are needed to find out where they were taken from"
     refuse_tags(photos)
     if len(photos) >= LEAST_PHOTOS:
         try:
-            made = make_capture(photos, transfer=transfer, reference="first", report=report)
+            made = make_capture(photos, transfer=transfer, reference="first", report=report,
+                                resolution=min(max(resolution or 0, 1024), MOST_SIDE))
         except OnePlace:
             return _rectified(photos, falloff, folder, resolution)
         except Unreadable:
@@ -228,9 +229,8 @@ def _angle(photo: Photo) -> float:
 
 
 def _square(photo: Photo, found: Picture, resolution: int | None) -> np.ndarray:
-    """The middle square of a photo as shown, S x S x 3 display values, S <= :data:`MOST_SQUARE`, shrunk.
-
-    It is NaN where the photo's alpha masks it.
+    """The middle square of a photo as shown, S x S x 3 display values, shrunk to ``resolution``; None: to
+    :data:`MOST_SQUARE`. It is NaN where the photo's alpha masks it.
     """
     pixels = upright(found.pixels, photo.orientation)
     (height, width), side = pixels.shape[:2], min(pixels.shape[:2])
@@ -239,7 +239,7 @@ def _square(photo: Photo, found: Picture, resolution: int | None) -> np.ndarray:
                            f"{photo.path} of {width} x {height}", "use the original photo")
     top, left = (height - side) // 2, (width - side) // 2
     middle = np.s_[top : top + side, left : left + side]
-    square = averaged(pixels[middle], min(side, MOST_SQUARE))
+    square = averaged(pixels[middle], min(side, max(MOST_SQUARE, resolution or 0)))
     square = averaged(square, min(len(square), resolution or MOST_SQUARE))
     if found.opaque is not None:
         square[~unmasked(upright(found.opaque, photo.orientation)[middle], len(square))] = np.nan
@@ -250,7 +250,7 @@ def _shrunk(capture: Capture, resolution: int | None) -> Capture:
     if resolution is None or resolution == capture.resolution:
         return capture
     if resolution > capture.resolution:
-        note = f"the photos have {capture.resolution} pixels a side, so they are not enlarged to {resolution}"
+        note = f"the photos give {capture.resolution} pixels a side, so they are not enlarged to {resolution}"
         return capture.but(notes=(*capture.notes, note))
     carries = None
     if capture.resolution >= CLEARLY * resolution:

@@ -108,8 +108,9 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
         transfer, overruled = used_transfer(transfer, colours)
         notes += overruled
         lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
-        found = judge(lit.pictures, lit.views, transfer, rectified.overlap,
-                      lit.shading.evenness if lit.shading else None, fired, lit.measured)
+        even, exposed = (lit.shading.evenness, lit.shading.log_exposure) if lit.shading else (None, None)
+        found = judge(lit.pictures, lit.views, transfer, rectified.overlap, even, fired, lit.measured,
+                      exposed)
         qualities |= found.qualities
         rejected |= rig.rejected | found.rejected
         kept = [photo for photo in kept if photo.name not in rejected]

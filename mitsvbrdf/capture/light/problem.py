@@ -23,6 +23,7 @@ LOG_F0 = math.log(0.16), 1.5  # of the lobe, natural logarithm over the median a
 MIRROR = math.radians(10), math.radians(20)
 LEAST_WEIGHT = 0.05  # of points near the mirror direction, so that texels with no other photo are not lost
 DARKEST = -7.0  # natural logarithm of albedo over the median; less cannot be told from 0
+POLISHES = 10
 ALBEDO_STEPS = 6  # of Gauss-Newton, where there is a lobe
 
 
@@ -32,18 +33,21 @@ class Problem:
     The unknowns, by ``layout``, are differences from the expected values: ``flash``, its place in camera axes
     (the rig's unit); ``vignetting``, v1 and v2; ``exposures``, natural logarithms, one a photo; ``log_alpha``
     and ``log_f0`` of the lobe. :meth:`residuals` and :meth:`jacobian` take them in standard deviations of the
-    prior, ``spread``.
+    prior, ``spread``. The search begins at ``begin``, with these ``exposures``; the further one is from 0,
+    the wider its prior.
     """
 
-    def __init__(self, rig: Rig, samples: Samples) -> None:
-        self.samples = samples
+    def __init__(self, rig: Rig, samples: Samples, exposures: Array | float = 0.0) -> None:
+        self.rig, self.samples = rig, samples
         poses = [rig.poses[name] for name in samples.names]
         self.cameras = np.stack([pose.position for pose in poses])
         self.turns = np.stack([pose.rotation.T for pose in poses])
         self.layout = Layout(flash=(3,), vignetting=(2,), exposures=(len(poses),), log_alpha=(), log_f0=())
         self.spread = self.layout.pack(flash=FLASH_SD[rig.unit], vignetting=VIGNETTING_SD,
-                                       exposures=EXPOSURE_SD, log_alpha=LOG_ALPHA[1], log_f0=LOG_F0[1])
-        apparent = samples.log - self.model(np.zeros(self.layout.size))
+                                       exposures=np.abs(exposures).clip(EXPOSURE_SD),
+                                       log_alpha=LOG_ALPHA[1], log_f0=LOG_F0[1])
+        self.begin = self.layout.pack(exposures=exposures)
+        apparent = samples.log - self.model(self.begin)
         self.typical, self.start = float(np.median(apparent)), np.full(samples.texel.max() + 1, np.inf)
         np.minimum.at(self.start, samples.texel, apparent)
         self.start = np.where(np.isfinite(self.start), self.start, self.typical).clip(self.typical + DARKEST)
@@ -143,3 +147,25 @@ class Problem:
             information.append(square[:2, :2] + 1e-9 * np.eye(2))
             places.append(unknowns[both] + np.linalg.solve(information[-1], square[:2, 2]))
         return Flashes(np.array(places), np.array(information), np.diag(self.spread[both] ** -2.0))
+
+
+def exposures_of(rig: Rig, samples: Samples) -> Array:
+    """Natural logarithm of each photo's exposure over the median photo's, by medians over points and photos
+    (median polish, Tukey 1977).
+    """
+    problem = Problem(rig, samples)
+    apparent, exposures = samples.log - problem.model(problem.begin), np.zeros(len(samples.names))
+    for _ in range(POLISHES):
+        albedo = medians(samples.texel, apparent - exposures[samples.photo])
+        exposures = medians(samples.photo, apparent - albedo[samples.texel])
+        exposures -= np.median(exposures)
+    return exposures
+
+
+def medians(group: Array, values: Array) -> Array:
+    """The median of the values of each group, by its number; 0 for one without any."""
+    order = np.lexsort((values, group))
+    count = np.bincount(group)
+    first = np.cumsum(count) - count
+    middle = (values[order][np.minimum(first + k, len(values) - 1)] for k in ((count - 1) // 2, count // 2))
+    return np.where(count > 0, sum(middle) / 2, 0.0)

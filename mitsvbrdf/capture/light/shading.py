@@ -31,7 +31,7 @@ from .samples import Samples, material_samples, paper_samples
 from .solve import Shading, solve_light
 
 # albedo of white office paper; 0.75 to 0.9, ISO 2470 brightness without optical brighteners
-PAPER_ALBEDO = 0.8
+PAPER_ALBEDO, PAPER_SD = 0.8, math.log(0.9 / 0.75) / math.sqrt(12)  # sd of its natural logarithm
 MOST_ALBEDO = 0.8
 # A photo has another white balance if the natural logarithm of its colour differs from the median photo's by
 # TINTED, and by SURELY deviations over texels (18 real ones: up to 2.0). It must show LEAST_COLOURED points.
@@ -58,7 +58,7 @@ def shading_of_paper(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color
     if tint:
         notes.append(_said(tint, "the paper", "taken out"))
         intensity = np.exp(found.level + _colours(found.samples, without=tint)[1]) * math.pi / albedo
-    return replace(found.shading(intensity, found.level_sd, tuple(notes)), tint=tint)
+    return replace(found.shading(intensity, math.hypot(found.level_sd, PAPER_SD), tuple(notes)), tint=tint)
 
 
 def tint_of(samples: Samples) -> dict[str, Array]:

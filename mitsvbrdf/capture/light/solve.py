@@ -14,16 +14,18 @@ from scipy.optimize import least_squares
 
 from ..lens import Array, Lens, Pose
 from ..rig import Rig
-from .problem import LOG_F0, Problem
+from .problem import EXPOSURE_SD, LOG_F0, Problem, exposures_of
 from .samples import Samples
 from .upside_down import Flashes
 
 # factor by which unknowns of known materials were off beyond noise: not all texels share one lobe
 MISFIT = 4.0
 ROUNDS = 10  # of reweighting
-EVEN = 0.5  # evenness from which a photo takes no part
 SURE = 0.2  # standard deviation up to which evenness counts as measured
 LEAST_LOG_NOISE = 0.002  # of log radiance
+EVEN = 0.5  # evenness from which a photo does not say where the flash is
+LOCKED = 4 * EXPOSURE_SD  # a photo that differs by more from the median photo may be exposed otherwise
+MISSED = 9.0  # largest square of an error over noise that counts when two lights are compared
 BELOW, ABOVE = 2.0, 3.0  # standard deviations from which negative and positive residuals count less
 
 
@@ -61,6 +63,8 @@ class _Found:
     albedo: Array  # logarithm, over pi, of each texel, for an intensity of 1; NaN where nothing is known
     evenness: dict[str, float]
     flashes: Flashes | None  # by each photo of paper; None of a material
+    error: Array  # of each point's log radiance
+    noise: float  # its standard deviation, of points that count
     unlit: tuple[str, ...] = ()
     turned: tuple[str, ...] = ()
 
@@ -78,7 +82,8 @@ class _Found:
             notes += (f"saved upside down, as the flash on the other side of the lens shows: "
                       f"{', '.join(self.turned)}; taken as turned",)
         if self.unlit:
-            notes += (f"no flash in {', '.join(self.unlit)}: light is even there",)
+            notes += (f"light is too even in {', '.join(self.unlit)} to tell where the flash is: they do not "
+                      "count for it",)
         elif even := sum(e > EVEN for e in self.evenness.values()):
             notes += (f"light does not fall off as a flash's in {even} of {len(names)} photos: where it "
                       "comes from is a guess",)
@@ -98,6 +103,10 @@ def solve_light(rig: Rig, samples: Samples) -> _Found:
     if even.any() and 2 * even.sum() < len(even):
         found = _turned(_most_probable(rig, samples, counts := 1.0 - even), counts)
         found = replace(found, unlit=tuple(name for name, e in zip(samples.names, even) if e))
+        for photo in np.flatnonzero(even):  # its exposure is what it shows beside the others
+            error = found.error[samples.photo == photo]
+            found.unknowns.exposures[photo] += np.median(error)
+            found.deviations.exposures[photo] = noise_of(error - np.median(error), np.ones(len(error)))
     return found
 
 
@@ -115,8 +124,24 @@ def _turned(found: _Found, counts: Array) -> _Found:
 
 
 def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
-    problem = Problem(rig, samples)
-    x = np.zeros(problem.layout.size)
+    """The light with equal exposures, or with those that photos seem to have, if it explains them as well.
+
+    Without these a photo of twice the exposure looks like one large highlight. With them the search may find
+    a lobe where light is even.
+    """
+    found, exposures = _optimum(Problem(rig, samples), counts), exposures_of(rig, samples) * counts
+    if np.abs(exposures).max() < LOCKED or (max(found.evenness.values()) > EVEN and counts.all()):
+        return found
+    other = _optimum(Problem(rig, samples, exposures), counts)
+    noise = min(found.noise, other.noise)
+    missed, less = (np.average(np.square(each.error / noise).clip(max=MISSED), weights=samples.weight)
+                    for each in (found, other))
+    return other if less < 1.1 * missed else found
+
+
+def _optimum(problem: Problem, counts: Array) -> _Found:
+    rig, samples = problem.rig, problem.samples
+    x = problem.begin / problem.spread
     weights, scale = samples.weight * counts[samples.photo].clip(1e-9), 1.0
     for _ in range(ROUNDS):
         unknowns = x * problem.spread
@@ -142,7 +167,7 @@ def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
     return _Found(rig, samples, problem.layout.unpack(unknowns),
                   problem.layout.unpack(np.sqrt(covariance.diagonal())),
                   problem.typical, float(albedo[0]), level_sd, colour, np.where(total > 1e-3, albedo, np.nan),
-                  evenness_of(problem, unknowns, weights, gloss), flashes)
+                  evenness_of(problem, unknowns, weights, gloss), flashes, error, noise)
 
 
 def noise_of(error: Array, weights: Array) -> float:

@@ -44,14 +44,15 @@ class PhotoQuality:
 
 
 def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, overlap: Mapping[str, float],
-                    evenness: Mapping[str, float] | None = None, measured: Tensor | None = None
-                    ) -> list[PhotoQuality]:
+                    evenness: Mapping[str, float] | None = None, measured: Tensor | None = None,
+                    log_exposure: Mapping[str, float] | None = None) -> list[PhotoQuality]:
     """Numbers of each photo beside the others.
 
     Args:
         photos: N x R x R x 3 display values in [0, 1], rectified; N >= 3 for the comparison to mean anything.
         views: those of the photos; places and powers of lights need only be roughly right.
-        overlap: see :class:`PhotoQuality`, by name in the order of the photos; so is ``evenness``.
+        overlap: see :class:`PhotoQuality`, by name in the order of the photos; so are ``evenness``, and
+            ``log_exposure``, the natural logarithms of exposures that the powers of lights hold already.
         measured: N x R x R, False where photos are made up; None: nowhere.
     """
     shows = torch.ones_like(photos[..., 0], dtype=torch.bool) if measured is None else measured
@@ -73,6 +74,7 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, over
     unlike = (colour > COLOUR) | (beside < -DARKER)
     lost = (agreement < DISAGREE) & (np.median(agreement, axis=0) > AGREE)
     lost &= ((colour > SLIGHT_COLOUR) | (beside.abs() > SLIGHT)).numpy()
+    offset = offset + torch.tensor([(log_exposure or {}).get(name, 0.0) for name in overlap])
     usual = float(offset.nanmedian())
     share = shows.float().mean(dim=(1, 2)).tolist()
     within = [max(each, 1e-9) for each in share]  # pieces and clipped texels are shares of what a photo shows

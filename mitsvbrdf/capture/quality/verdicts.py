@@ -74,13 +74,13 @@ class Verdicts:
 
 def judge(photos: Tensor, views: Views, transfer: color.Transfer, overlap: Mapping[str, float],
           evenness: Mapping[str, float] | None = None, fired: Mapping[str, str] | None = None,
-          measured: Tensor | None = None) -> Verdicts:
+          measured: Tensor | None = None, log_exposure: Mapping[str, float] | None = None) -> Verdicts:
     """Verdicts on photos, each beside the others.
 
     The arguments are those of :func:`~.photo_quality.photo_qualities`, and ``fired``: "fired" or "off" by
     name, as EXIF says of the flash.
     """
-    found = photo_qualities(photos, views, transfer, overlap, evenness, measured)
+    found = photo_qualities(photos, views, transfer, overlap, evenness, measured, log_exposure)
     rejected, misled = dict[str, str](), False
     for photo in found:
         if said := _reason(photo, found, photos.shape[1], fired or {}):

@@ -92,6 +92,25 @@ def expected(rig):
     return np.array([*FLASH[rig.unit], *VIGNETTING])
 
 
+@pytest.mark.parametrize("kind", ["paper", "matte", "glossy"])
+@pytest.mark.parametrize("photo, stops", [(4, 1.0), (4, -1.0), (slice(None), 0.6)])
+def test_exposures_that_were_not_locked(kind, photo, stops):
+    rng = np.random.default_rng(2)
+    rig, exposures = make_rig("cm", rng), np.zeros(9)
+    exposures[photo] = math.log(2) * stops * (rng.normal(size=9) if photo != 4 else 1.0)
+    if kind == "paper":
+        photos = paper_photos(rig, np.full(3, 0.5 * math.pi * 20**2), exposures, rng)
+        shading = shading_of_paper(rig, photos, "gamma2.2", border)
+    else:
+        photos = material_photos(rig, exposures, rng, 0.04 * (kind == "glossy"),
+                                 intensity=0.3 * math.pi * (2 * SIDE)**2)
+        shading = shading_of_material(rig, photos, "gamma2.2")
+    error = np.array(list(shading.log_exposure.values())) - exposures
+    error -= np.median(error)
+    assert np.abs(error).max() < 0.02
+    assert (np.abs(error) < 3 * np.array(list(shading.exposure_deviations.values()))).all()
+
+
 # paper
 def test_paper_tells_flash_power_vignetting_and_exposures():
     rng = np.random.default_rng(1)
