@@ -175,9 +175,9 @@ def version() -> str:
     root = Path(__file__).parents[2]
     if not (root / ".git").exists():
         return __version__
-    with contextlib.suppress(OSError):  # no git here
-        done = subprocess.run(["git", "-C", str(root), "describe", "--always", "--dirty", "--exclude=*"],
-                              capture_output=True, text=True)
+    with contextlib.suppress(OSError, subprocess.CalledProcessError):  # no git here
+        done = subprocess.run(["git", "-c", f"safe.directory={root}", "-C", str(root), "describe", "--always",
+                               "--dirty", "--exclude=*"], capture_output=True, text=True, check=True)
         return f"{__version__}+{done.stdout.strip()}"
     return __version__
 

@@ -26,11 +26,14 @@ def judged(records: Iterable[Mapping[str, Any]]) -> Iterator[Judged]:
     for record in records:
         groups.setdefault((record["kind"], tuple(record.get("held_out", ()))), []).append(record)
     for (kind, held_out), group in groups.items():
-        names = {record["name"] for record in group}
         without = f" without photos {' and '.join(map(str, held_out))}" if held_out else ""
         for error, what in ERRORS[kind].items():
-            if any(error in record["errors"] for record in group):
-                yield Judged(f"RMSE of {what}: mean of {len(names)} {KINDS[kind]}{without}", error, group)
+            # a task that has other errors alone, such as a capture without views, is none of this table
+            having = {r["name"] for r in group if error in r["errors"]}
+            some = [r for r in group if r["name"] in having or not r["errors"]]
+            if any(error in record["errors"] for record in some):
+                count = len({record["name"] for record in some})
+                yield Judged(f"RMSE of {what}: mean of {count} {KINDS[kind]}{without}", error, some)
 
 
 def summary(records: Iterable[Mapping[str, Any]], error: str) -> pd.DataFrame:

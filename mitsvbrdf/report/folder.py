@@ -94,8 +94,8 @@ def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_ou
     small = _write_renderings(result, capture, out)
     title = f"{material_name(result)}: {result.method}, {result.svbrdf.bsdf}"
     sure = result.record["confidence"]
-    remarks = {name: f"{sure[name]['determined_share']:.0%} determined" if name in sure else "held fixed"
-               for name in result.svbrdf.maps}
+    remarks = {name: f"{sure[name]['determined_share']:.0%} determined" if name in sure else
+               "held fixed" if name in result.fixed else "deviation unknown" for name in result.svbrdf.maps}
     title = title.encode(errors="replace").decode()  # of a folder whose name is not UTF-8
     write_sheet(out / "sheet.png", result.svbrdf.resized(min(SHEET, result.svbrdf.resolution)),
                 torch.stack([at_most(photo, SHEET, color.shown) for photo in capture.stored]), small,
