@@ -103,7 +103,3 @@ def _mitsuba(variant: str) -> list[Row]:
                     Row("CUDA for cuda_ad_rgb", "yes" if dr.has_backend(dr.JitBackend.CUDA) else "no")]
     except BackendError as reason:
         return [*rows, Row(variant, f"not available: {reason.got}", False, reason.fix)]
-
-
-if __name__ == "__main__":
-    raise SystemExit(doctor("--json" in sys.argv))

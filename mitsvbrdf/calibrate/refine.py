@@ -63,14 +63,12 @@ class Priors:
             %.
         common_flash: (x, y) of one more offset of the flash, the same in all photos; beside a phone's lens it
             is up to 0.25.
-        expected: what is expected instead of 0, seven numbers (:data:`UNKNOWNS`) or N x 7.
     """
 
     camera: tuple[float, float, float] = (0.03, 0.03, 0.05)
     flash: tuple[float, float, float] = (0.03, 0.03, 0.03)
     exposure: float = 0.1
     common_flash: tuple[float, float] = (0.0, 0.0)
-    expected: Tensor | tuple[float, ...] = (0.0,) * len(UNKNOWNS)
 
     def __post_init__(self) -> None:
         check_fields(self)
@@ -122,8 +120,7 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
         svbrdf: the material, which stays as it is; any resolution.
         views: the N views to start from, around which the priors stand, such as the capture's.
         capture: the N photos.
-        start: changes N x 7 from which the search begins, such as those found with earlier maps;
-            default: those expected.
+        start: changes N x 7 from which the search begins, such as those found with earlier maps; default: 0.
         renderer: draws everything a scene may need; default: the analytic one, in float64.
 
     Returns:
@@ -131,11 +128,10 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
 
     Raises:
         CaptureError: not as many views as photos.
-        ConfigError: expected changes that are not seven numbers or N x 7.
     """
     problem = Problem(svbrdf, views, capture, priors, renderer)
-    change = problem.expected if start is None else start
-    here = problem.linear(torch.linalg.pinv(problem.spread) @ (change - problem.expected).flatten())
+    change = torch.zeros(len(views), len(UNKNOWNS)).double() if start is None else start
+    here = problem.linear(torch.linalg.pinv(problem.spread) @ change.flatten())
     damping, tried, size = 1e-3, 0, float("inf")
     while tried < iterations and size > SETTLED:
         tried += 1
@@ -172,7 +168,7 @@ class Linear(NamedTuple):
 class Problem:
     """The least-squares problem in whitened unknowns u, whose prior is the standard normal distribution.
 
-    The changes of all photos are ``expected + spread @ u``: by ``whitened``, one u for each unknown of each
+    The changes of all photos are ``spread @ u``: by ``whitened``, one u for each unknown of each
     photo (``own``), and two for the offset of the flash that all share (``common_flash``). The cost is |u|^2
     / 2 plus, for each photo, the sum of Huber's function of residuals over noise, divided by the number of
     pixels that count as one.
@@ -209,11 +205,6 @@ class Problem:
         to_flash[CHANGE["flash"]][:2] = torch.eye(2)  # x and y
         self.spread = (F.pad(torch.from_numpy(own).repeat(count).diag(), (0, 2))
                        + to_flash.repeat(count, 1) @ self.shared)
-        expected = torch.as_tensor(priors.expected, dtype=torch.float64)
-        if expected.shape not in ((len(UNKNOWNS),), (count, len(UNKNOWNS))):
-            raise ConfigError(f"{len(UNKNOWNS)} expected changes, or {count} x {len(UNKNOWNS)}",
-                              f"shape {tuple(expected.shape)}", f"give {', '.join(UNKNOWNS)}")
-        self.expected = expected.expand(count, -1)
 
     def drawn(self, views: Views) -> Tensor:
         """Radiance ? x R x R x 3, float64, of any number of views."""
@@ -222,7 +213,7 @@ class Problem:
 
     def change(self, u: Tensor) -> Tensor:
         """Changes N x 7, by :data:`UNKNOWNS`."""
-        return self.expected + (self.spread @ u).reshape(-1, len(UNKNOWNS))
+        return (self.spread @ u).reshape(-1, len(UNKNOWNS))
 
     def residuals(self, radiance: Tensor) -> Tensor:
         """Display values minus the photos', N x R x R x 3; 0 where masked, or a clipped value is reached."""

@@ -4,8 +4,8 @@ import math
 from typing import Literal, get_args
 
 import torch
-import torch.nn.functional as F
 from numpy.typing import ArrayLike
+from scipy.ndimage import gaussian_filter
 from torch import Tensor
 
 from .. import color
@@ -78,12 +78,7 @@ def over(value: Tensor, irradiance: Tensor) -> Tensor:
 def _blurred(image: Tensor) -> Tensor:
     """H x W x 3 under a Gaussian blur that repeats the border."""
     sigma = max(1e-3, BLUR * image.shape[0])
-    reach = min(math.ceil(3 * sigma), image.shape[0] - 1)
-    kernel = torch.exp(-0.5 * (torch.arange(-reach, reach + 1) / sigma) ** 2)
-    kernel = (kernel / kernel.sum()).expand(3, 1, 1, -1)
-    chw = F.pad(image.permute(2, 0, 1)[None], (reach,) * 4, mode="replicate")
-    chw = F.conv2d(F.conv2d(chw, kernel, groups=3), kernel.mT, groups=3)
-    return chw[0].permute(1, 2, 0)
+    return torch.from_numpy(gaussian_filter(image.numpy(), (sigma, sigma, 0), mode="nearest", truncate=3))
 
 
 def _robust(capture: Capture) -> Tensor:

@@ -1,11 +1,10 @@
-"""Seconds of whole jobs, one or several in turn."""
+"""Seconds of whole jobs."""
 
 import statistics
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from typing import ParamSpec, TypeVar
 
-K = TypeVar("K")
 T = TypeVar("T")
 P = ParamSpec("P")
 
@@ -22,14 +21,3 @@ def spread(seconds: Sequence[float]) -> dict[str, float]:
     repeated = seconds if len(seconds) > 1 else [*seconds, *seconds]
     low, median, high = statistics.quantiles(repeated, n=4, method="inclusive")
     return {"median": median, "low": low, "high": high, "repeats": len(seconds)}
-
-
-def in_turns(jobs: Mapping[K, Callable[[], T]], repeats: int,
-             report: Callable[[float], object] = lambda share: None) -> dict[K, list[T]]:
-    """What each job returned. Jobs run in turn, ``repeats`` times: drift of the machine hits all alike."""
-    found: dict[K, list[T]] = {name: [] for name in jobs}
-    for turn in range(repeats):
-        for number, (name, job) in enumerate(jobs.items(), 1):
-            found[name].append(job())
-            report((turn + number / len(jobs)) / repeats)
-    return found

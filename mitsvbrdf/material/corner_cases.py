@@ -6,7 +6,6 @@ from torch import Tensor
 
 from ..io.entry import entry
 from ..views import texel_positions
-from .conversion import as_principled
 from .made import MATERIALS, make_material
 from .maps import CHANNELS, SVBRDF, Bsdf, flat
 
@@ -64,11 +63,6 @@ def _waves(resolution: int, degrees: float) -> Tensor:
 def _ramp(resolution: int, low: float, high: float) -> Tensor:
     """From ``low`` at the left edge to ``high`` at the right, R x R x 1."""
     return low + (high - low) * (texel_positions(resolution)[..., :1] + 0.5)
-
-
-def as_bsdf(svbrdf: SVBRDF, bsdf: Bsdf) -> SVBRDF:
-    """The material as this BSDF, converted where it is the other (:data:`CONVERSION`)."""
-    return as_principled(svbrdf) if bsdf == "principled" else svbrdf.as_roughconductor()
 
 
 @entry()

@@ -18,8 +18,9 @@ from .. import color
 from ..io import Report
 from ..io.entry import entry
 from ..io.provenance import machine, versions
-from ..io.timing import in_turns, spread
-from ..material.corner_cases import CONVERSION, as_bsdf
+from ..io.timing import spread
+from ..material.conversion import as_principled
+from ..material.corner_cases import CONVERSION
 from ..material.maps import SVBRDF, Bsdf
 from ..measure.gradients import Measured, render_and_gradients
 from ..measure.metrics import error_statistics, gradient_error, relative_error
@@ -41,8 +42,8 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
     """Compare renderers with the float64 twin on every material and BSDF.
 
     Args:
-        svbrdf_by_name: materials, float32. A material of another BSDF is converted by
-            :func:`mitsvbrdf.material.corner_cases.as_bsdf`.
+        svbrdf_by_name: materials, float32. A material of another BSDF is converted
+            (:data:`mitsvbrdf.material.corner_cases.CONVERSION`).
         repeats: timed passes of each configuration. The configurations take turns.
         names: of the views; default: 00, 01, ...
         transfer: how display values encode light.
@@ -53,20 +54,25 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
         A record for JSON, without NaN; docs/evaluation.md explains each field.
     """
     names = list(names or (f"{i:02d}" for i in range(len(views))))
-    twin, found, jobs = make_renderer("analytic64"), [], {}
+    twin, found, jobs = make_renderer("analytic64"), [], []
     pairs = [(name, bsdf) for name in svbrdf_by_name for bsdf in bsdfs]
     for number, (name, bsdf) in enumerate(pairs):
         report(f"{name}, {bsdf}", 0.7 * number / len(pairs))
-        svbrdf = as_bsdf(svbrdf_by_name[name], bsdf)
+        given = svbrdf_by_name[name]
+        svbrdf = as_principled(given) if bsdf == "principled" else given.as_roughconductor()
         case = _Case(twin, svbrdf, views, names, transfer)
         for renderer in renderers:
             figures, error_map = case.compare(renderer)
             found.append({"material": name, "bsdf": bsdf, "renderer": renderer.name} | figures)
-            jobs[len(found) - 1] = partial(_seconds, renderer, svbrdf, views)
+            jobs.append(partial(_seconds, renderer, svbrdf, views))
             if error_maps is not None:
                 error_maps[name, bsdf, renderer.name] = error_map
-    turns = in_turns(jobs, repeats, lambda share: report("run times", 0.7 + 0.3 * share))
-    for number, passes in turns.items():
+    turns: list[list] = [[] for _ in jobs]
+    for turn in range(repeats):  # in turns, so that drift of the machine hits all alike
+        for number, job in enumerate(jobs):
+            turns[number].append(job())
+            report("run times", 0.7 + 0.3 * (turn + (number + 1) / len(jobs)) / repeats)
+    for number, passes in enumerate(turns):
         forward, backward = zip(*passes)
         found[number]["seconds"] = {"forward": spread(forward), "backward": spread(backward)}
     record = {"schema_version": SCHEMA_VERSION, "reference": twin.name, "tolerances": TOLERANCES,

@@ -96,12 +96,11 @@ def test_wrong_maps_make_it_less_sure():
     assert bool((wrong.deviation <= SPREAD).all())
 
 
-@pytest.mark.parametrize("expected", [(0.0,) * 7, (0.01, -0.02, 0.03, -0.1, 0.05, 0.0, 0.2)])
-def test_priors_hold_where_nothing_is_seen(expected):
+def test_priors_hold_where_nothing_is_seen():
     black, views = flat(16, diffuse=0.0, specular=0.0), GRID.pick([1, 2])
     shots = Capture(torch.full((2, 16, 16, 3), 0.3), views)
-    found = refine_views(black, views, shots, Priors(expected=expected, common_flash=(0.15, 0.2)))
-    assert torch.allclose(found.change, torch.tensor(expected, dtype=torch.float64).expand(2, 7), atol=1e-12)
+    found = refine_views(black, views, shots, Priors(common_flash=(0.15, 0.2)))
+    assert found.change.abs().max() < 1e-12
     wide = SPREAD.clone()
     wide[3:5] = (wide[3:5].square() + torch.tensor([0.15, 0.2]).square()).sqrt()
     assert torch.allclose(found.deviation, wide.expand(2, 7), rtol=1e-12)
@@ -191,8 +190,6 @@ def test_mistakes_are_refused():
     shots = Capture(torch.rand(9, 8, 8, 3), views)
     with pytest.raises(CaptureError, match="9 photos"):
         refine_views(material, views.pick([1, 2]), shots)
-    with pytest.raises(ConfigError, match="camera_x"):
-        refine_views(material, views, shots, Priors(expected=(0.0, 0.1)))
     for wrong, words in (({"exposure": -1.0}, "0 and more"), ({"camera": ("a",) * 3}, "0 and more"),
                          ({"exposure": "a"}, "exposure")):
         with pytest.raises(ConfigError, match=words):

@@ -5,8 +5,6 @@ import torch
 
 from mitsvbrdf.export.residual import LIGHTS, residual, three_lights
 from mitsvbrdf.material.conversion import as_principled, as_shown, is_metal, layered, relative_f0, usual_f0
-from mitsvbrdf.material.corner_cases import as_bsdf
-from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat
 
 
@@ -94,12 +92,3 @@ def test_three_lights_are_as_bright_at_the_centre():
     cosine = views.light[:, 2] / distance2.sqrt()
     assert (views.intensity[:, 0] * cosine / distance2).tolist() == pytest.approx([torch.pi / 2] * 3)
     assert torch.equal(views.camera[0], views.light[0])
-
-
-def test_as_bsdf():
-    made = make_material("inlay", 8)
-    metal = as_bsdf(made, "principled")
-    assert as_bsdf(made, "roughconductor") is made and as_bsdf(metal, "principled") is metal
-    assert metal.check().bsdf == "principled" and as_bsdf(metal, "roughconductor").bsdf == "roughconductor"
-    for name in ("roughness", "normal"):
-        assert torch.equal(metal[name], made[name])

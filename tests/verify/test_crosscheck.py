@@ -10,7 +10,6 @@ from helpers.crosschecks import BOTH, THREE
 
 from mitsvbrdf import cli
 from mitsvbrdf.cli import crosscheck as command
-from mitsvbrdf.io.timing import in_turns
 from mitsvbrdf.material.corner_cases import builtin_materials
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
@@ -121,12 +120,6 @@ def test_builtin_materials_cover_the_corners():
     steep = TWIN.render(made["steep normals"].to(torch.float64), views)
     assert bool((steep == 0).any()) and bool((steep > 0).any())  # some texels face away
     assert {"inlay", "tiles", "leather", "plates", "flat"} <= set(made)
-
-
-def test_jobs_take_turns():
-    order = []
-    jobs = {name: lambda name=name: order.append(name) or len(order) for name in "ab"}
-    assert in_turns(jobs, repeats=2) == {"a": [1, 3], "b": [2, 4]} and order == list("abab")
 
 
 def test_command_on_a_fit(tmp_path, capsys):
