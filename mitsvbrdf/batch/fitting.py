@@ -59,8 +59,7 @@ def fit_task(task: dict) -> Iterator[dict]:
     material = msgspec.convert(task["material"], Material)
     with _printed(results, task["attempt"]) as log, _memory_limit(task["memory"]), plain_warnings():
         found = _outcome(results, material, task["attempt"])
-        sys.stdout.flush()
-        sys.stderr.flush()
+        _flush()
         text = log.read_text(errors="replace")[-LOG_CHARACTERS:]
     yield found | {"log": text}
 
@@ -81,7 +80,8 @@ def _outcome(results: ResultStore, material: Material, attempt: str) -> dict:
         full = isinstance(cause := reason.__context__, OSError) and cause.errno in NO_SPACE
         return {"state": "full" if full else "failed", "reason": str(reason)}
     except Exception as reason:
-        traceback.print_exc()
+        with contextlib.suppress(OSError):  # the log may lie on a full disk
+            traceback.print_exc()
         full = isinstance(reason, OSError) and reason.errno in NO_SPACE
         return {"state": "full" if full else "failed", "reason": f"{type(reason).__name__}: {reason}"}
 
@@ -180,12 +180,18 @@ def _printed(results: ResultStore, attempt: str) -> Iterator[Path]:
         try:
             yield path
         finally:
-            sys.stdout.flush()
-            sys.stderr.flush()
+            _flush()
             for number, other in zip((1, 2), before):
                 os.dup2(other, number)
                 os.close(other)
             path.unlink(missing_ok=True)
+
+
+def _flush() -> None:
+    """Write what was printed. A full disk takes words of the log, but does not fail the fit."""
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(OSError):
+            stream.flush()
 
 
 def log_path(results: ResultStore, attempt: str) -> Path | None:

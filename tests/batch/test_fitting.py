@@ -1,6 +1,7 @@
 """A capture fitted by a worker: the maps of `mitsvbrdf fit`, a whole result or none, and what it printed."""
 
 import json
+import os
 import subprocess
 import sys
 from dataclasses import replace
@@ -129,6 +130,24 @@ def test_a_worker_of_another_library_or_version_does_not_fit(worker, changes, mo
     monkeypatch.setattr(fitting, "_warm", lambda threads: None)  # which changes this process
     (said,) = fitting.fit_task(worker.task(**changes))
     assert said["version"] == __version__ and worker.results.names() == []
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])  # as Ray's workers are
+def test_a_disk_that_is_full_for_the_log_too(worker, tmp_path, unbuffered):
+    (tmp_path / "task.json").write_text(json.dumps(worker.task()))
+    done = subprocess.run([sys.executable, "-c", """
+import json, resource, sys
+from mitsvbrdf.batch import fitting
+fitting._warm = lambda threads: None
+def fit_capture(*_):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))  # no file takes a byte
+    raise OSError(28, "No space left on device")
+fitting.fit_capture = fit_capture
+for said in fitting.fit_task(json.load(open(sys.argv[1]))):
+    print(said.get("state"))
+""", str(tmp_path / "task.json")], capture_output=True, text=True,
+                          env=os.environ | {"PYTHONUNBUFFERED": unbuffered})
+    assert done.returncode == 0 and done.stdout.splitlines()[-1] == "full", done.stderr
 
 
 def test_the_preview_is_seen_from_the_fitted_view(tmp_path):
