@@ -56,10 +56,14 @@ class Lens:
         """OpenCV's distortion coefficients k1, k2, p1, p2, k3."""
         return np.array([*self.distortion, 0.0, 0.0, 0.0])
 
+    def radius2(self, pixels: Array) -> Array:
+        """Squared distances of pixels (... x 2) from the middle of the photo, 1 at half its diagonal."""
+        middle = (np.array(self.size) - 1) / 2
+        return np.square(np.asarray(pixels) - middle).sum(axis=-1) / np.square(middle + 0.5).sum()
+
     def transmission(self, pixels: Array) -> Array:
         """Share of the light that arrives at pixels (... x 2); it is 1 in the middle of the photo."""
-        middle = (np.array(self.size) - 1) / 2
-        r2 = np.square(np.asarray(pixels) - middle).sum(axis=-1) / np.square(middle + 0.5).sum()
+        r2 = self.radius2(pixels)
         return 1 + self.vignetting[0] * r2 + self.vignetting[1] * r2**2
 
 

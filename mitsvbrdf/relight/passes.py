@@ -67,12 +67,9 @@ def render_passes(draw: Callable[[int, int], Tensor], samples: int, *, pixels: i
 
 
 def render_frame(mi: ModuleType, scene: Any, samples: int, *, seed: int = 0, name: str = "",
-                 exposure: float = 0.0, report: Report = lambda text, share: None,
-                 interrupted: Sequence = ()) -> Rendered:
-    """Render a loaded Mitsuba scene with its own sensor, integrator and independent sampler; see
-    :func:`render_passes`.
-
-    Frames of different names have different random numbers.
+                 **options: Any) -> Rendered:
+    """Render a loaded Mitsuba scene with its own sensor, integrator and independent sampler; ``options`` are
+    those of :func:`render_passes`. Frames of different names have different random numbers.
     """
     first = zlib.crc32(f"{seed} {name}".encode())
 
@@ -80,8 +77,7 @@ def render_frame(mi: ModuleType, scene: Any, samples: int, *, seed: int = 0, nam
         return torch.from_numpy(mi.render(scene, seed=(first + call) % 2**32, spp=count).numpy())
 
     width, height = scene.sensors()[0].film().size()
-    return render_passes(draw, samples, pixels=width * height, exposure=exposure, report=report,
-                         interrupted=interrupted)
+    return render_passes(draw, samples, pixels=width * height, **options)
 
 
 class GroupedMean:

@@ -70,7 +70,7 @@ def test_any_value_of_another_kind_is_read_or_one_error(place, folder):
         for read in (Fit.of_maps, Fit.load):
             try:
                 fit = read(folder)
-                used = [fit.seen, fit.side_metres, fit.record.get("warnings"), fit.of]
+                used = [fit.seen, fit.side_metres, fit.record.get("warnings"), fit.small_photos]
                 if read is Fit.load:
                     used += [fit.fixed, fit.names, fit.engine(), fit.svbrdf]
             except MitsvbrdfError as error:

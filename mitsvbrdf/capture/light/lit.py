@@ -16,7 +16,7 @@ from ...views import Views, default_views, texel_positions
 from ..lens import Array, project
 from ..rectify import Rectified, filled
 from ..rig import Rig
-from .samples import radius2_of, transmission_of
+from .samples import transmission_of
 from .shading import shading_of_material, shading_of_paper
 from .solve import Shading
 
@@ -92,7 +92,7 @@ def without_vignetting(picture: np.ndarray, rig: Rig, name: str, transfer: color
         return picture
     linear = color.decode(torch.from_numpy(picture), transfer).numpy()
     points = texel_positions(len(linear)).numpy().reshape(-1, 3) * rig.size
-    radius2 = radius2_of(rig.lens, project(rig.lens, rig.poses[name], points))
+    radius2 = rig.lens.radius2(project(rig.lens, rig.poses[name], points))
     out = linear / transmission_of(radius2, np.array(rig.lens.vignetting)).reshape(*linear.shape[:2], 1)
     clipped = linear >= float(color.decode(torch.tensor(NEARLY_CLIPPED, dtype=torch.float64), transfer))
     out = np.where(clipped, np.maximum(out, linear), out).astype(linear.dtype)

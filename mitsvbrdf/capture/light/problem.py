@@ -6,6 +6,7 @@ The albedo of each texel is eliminated (variable projection): it is what explain
 import math
 
 import numpy as np
+from scipy.ndimage import median
 
 from ...io.layout import Layout
 from ..lens import Array
@@ -153,19 +154,10 @@ def exposures_of(rig: Rig, samples: Samples) -> Array:
     """Natural logarithm of each photo's exposure over the median photo's, by medians over points and photos
     (median polish, Tukey 1977).
     """
-    problem = Problem(rig, samples)
+    problem, texels = Problem(rig, samples), np.arange(samples.texel.max() + 1)
     apparent, exposures = samples.log - problem.model(problem.begin), np.zeros(len(samples.names))
     for _ in range(POLISHES):
-        albedo = medians(samples.texel, apparent - exposures[samples.photo])
-        exposures = medians(samples.photo, apparent - albedo[samples.texel])
+        albedo = median(apparent - exposures[samples.photo], samples.texel, texels)
+        exposures = median(apparent - albedo[samples.texel], samples.photo, np.arange(len(exposures)))
         exposures -= np.median(exposures)
     return exposures
-
-
-def medians(group: Array, values: Array) -> Array:
-    """The median of the values of each group, by its number; 0 for one without any."""
-    order = np.lexsort((values, group))
-    count = np.bincount(group)
-    first = np.cumsum(count) - count
-    middle = (values[order][np.minimum(first + k, len(values) - 1)] for k in ((count - 1) // 2, count // 2))
-    return np.where(count > 0, sum(middle) / 2, 0.0)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import torch
@@ -113,14 +113,9 @@ class Samples:
         counts = [int(k.sum()) for k in kept.values()]
         photo = np.repeat(np.arange(len(seen)), counts)
         return cls(list(seen), photo, joined(lambda s: s.points),
-                   radius2_of(rig.lens, joined(lambda s: s.pixels)), log,
+                   rig.lens.radius2(joined(lambda s: s.pixels)), log,
                    np.log(linear.clip(1e-6)) - log[:, None], 1 / (1 + (DIM / display) ** 2),
                    joined(lambda s: s.texels), photo * CELLS**2 + joined(lambda s: s.cells), glossy)
-
-
-def radius2_of(lens: Lens, pixels: Array) -> Array:
-    """Squared distances of pixels (K x 2) from the middle of the photo, 1 at half its diagonal: K."""
-    return replace(lens, vignetting=(1.0, 0.0)).transmission(pixels) - 1
 
 
 def transmission_of(radius2: Array, vignetting: Array) -> Array:

@@ -22,6 +22,7 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import median
 
 from ... import color
 from ...material.maps import USUAL_ALBEDO
@@ -77,10 +78,8 @@ def _colours(samples: Samples, without: Collection[str] = ()) -> tuple[dict, Arr
     one = count == 1  # paper, which is the same everywhere
     own, spread, base = {}, {}, np.zeros((count, 3))
     if not one:
-        order = np.argsort(samples.texel, kind="stable")
-        ends = np.searchsorted(samples.texel[order], np.arange(1, count))
-        for texel, part in enumerate(np.split(order, ends)):
-            base[texel] = np.median(samples.colour[part], axis=0) if len(part) else 0.0
+        base = np.column_stack([median(channel, samples.texel, np.arange(count))
+                                for channel in samples.colour.T])
     for number, name in enumerate(samples.names):
         at = samples.photo == number
         if at.sum() >= LEAST_COLOURED:
