@@ -92,6 +92,9 @@ class HandheldPhone:
         return Sheet(self.sheet).patch if self.sheet else SEEN * self.sample
 
 
+MOST_TRIES = 2000  # poses for a photo, each held higher
+
+
 @dataclass(frozen=True)
 class Shot:
     """What one photo is to be: its file, the phone's pose, its faults, its EXIF orientation."""
@@ -133,8 +136,7 @@ def handheld_poses(phone: HandheldPhone, count: int) -> list[Pose]:
     square = np.array([[x, y, 0.0] for x, y in ((-half, -half), (half, -half), (half, half), (-half, half))])
     grid, found = nine_view_grid().camera.numpy(), []
     for i in range(count):
-        higher = 1.0
-        while True:
+        for higher in 1 + 0.005 * np.arange(MOST_TRIES):
             position = (grid[i % len(grid)] + rng.normal(0, 0.04, 3)) * phone.patch * (1, 1, higher)
             aim = np.append(position[:2] * rng.uniform(0, 1) + rng.normal(0, 0.06, 2) * phone.patch, 0.0)
             pose = Pose.looking_at(position, aim, math.radians(rng.normal(0, 4)))
@@ -142,6 +144,8 @@ def handheld_poses(phone: HandheldPhone, count: int) -> list[Pose]:
             upright = -pose.rotation[2, 2] >= math.cos(math.radians(phone.tilt))
             if upright and seen.min() > 0.01 and seen.max() < 0.99:
                 break
-            higher += 0.005
+        else:
+            raise ConfigError("a phone that can show the whole patch", f"none of {MOST_TRIES} poses",
+                              "check centre, distortion and tilt")
         found.append(pose)
     return found

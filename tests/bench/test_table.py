@@ -50,6 +50,13 @@ def test_the_best_is_bold_and_what_is_missing_says_so():
     assert cells["10 s"]["`d`"] == "0.3000 †" and "`d` after 10 s" in markdown([group])
 
 
+def test_a_task_without_held_out_photos_is_none_of_their_table():
+    more = [record("a", 10.0, 0, 4, 0.1, errors={"seen": 0.1})]  # a capture without views
+    held, seen = judged(records() + more)
+    assert "mean of 4 real captures" in held.title and "mean of 5" in seen.title
+    assert not table(held).isin(["incomplete"]).any(axis=None)
+
+
 def test_curves_are_the_medians_and_the_picture_is_always_the_same():
     groups = list(judged(records()))
     assert [g.error for g in groups] == ["held_out", "seen"]

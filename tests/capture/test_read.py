@@ -177,6 +177,32 @@ def test_counts_of_rows_and_photos(tmp_path):
     fails(json_capture(tmp_path / "g", light_pow=[[1, 1, 1]] * 2), "light_pow", "2 rows")
 
 
+def test_photos_numbered_from_one_have_the_rows_in_order(tmp_path):
+    json_capture(tmp_path, photos(3))
+    for number in (2, 1, 0):
+        next((tmp_path / "target").glob(f"{number:02d}.*")).rename(tmp_path / f"target/{number + 1:02d}.png")
+    for calibrated in (True, False):
+        stated = json.loads((tmp_path / "capture.json").read_text())
+        kept = stated if calibrated else {"target_dir": stated["target_dir"]}
+        (tmp_path / "capture.json").write_text(json.dumps({k: v for k, v in kept.items() if k != "idx"}))
+        found = read_capture(tmp_path)
+        assert found.index == (1, 2, 3) and found.calibrated == calibrated
+        if calibrated:
+            assert found.views.camera.tolist() == stated["camera_pos"]
+
+
+@pytest.mark.parametrize("camera, intensity", [(torch.ones(3, 4), 1.0), (torch.ones(4, 3), torch.ones(3, 1)),
+                                               (torch.ones(2, 2, 3), 1.0), (torch.ones(4, 3), torch.ones(4))])
+def test_views_of_another_shape_are_refused(camera, intensity):
+    with pytest.raises(CaptureError, match="three numbers"):
+        Views.of(camera, intensity=intensity)
+
+
+def test_lights_of_one_number_are_white():
+    assert Views.of(torch.ones(3, 3), intensity=[[1.0], [2.0], [4.0]]).intensity.tolist() == [
+        [1.0] * 3, [2.0] * 3, [4.0] * 3]
+
+
 def test_photo_named_by_idx_is_missing(tmp_path):
     fails(json_capture(tmp_path, photos(2)), "02.png")
     fails(json_capture(tmp_path, target_dir="elsewhere"), "elsewhere")

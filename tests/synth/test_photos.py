@@ -158,6 +158,11 @@ def test_phones_that_cannot_be(wrong, match):
         HandheldPhone(**wrong).check()
 
 
+def test_a_phone_that_never_shows_the_patch_is_refused():
+    with pytest.raises(ConfigError, match="can show the whole patch"):
+        handheld_poses(HandheldPhone(centre=(2500.0, 0.0)), 1)
+
+
 @pytest.mark.parametrize("kinds", [("blurry",), ("finger", "finger")])
 def test_spoiling_that_is_not_known(kinds):
     with pytest.raises(ConfigError, match="each once"):
