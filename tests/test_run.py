@@ -62,7 +62,8 @@ def test_a_set_up_checkout_runs_at_once_from_anywhere(checkout, tmp_path):
     tests = sh(checkout / "run", "test", "-k", "one two", cwd=tmp_path, env=environment)
     assert tests.stdout == f"{checkout}|python|-m|pytest|-k|one two|", tests.stderr
     slow = sh(checkout / "run", "slow", cwd=tmp_path, env=environment)
-    assert slow.stdout == f"{checkout}|python|-m|pytest|-m|slow|", slow.stderr
+    assert slow.stdout.startswith(f"{checkout}|python|-m|pytest|-n|"), slow.stderr
+    assert slow.stdout.endswith("|--dist|loadfile|-m|slow|"), slow.stderr
     docs = sh(checkout / "run", "docs", cwd=tmp_path, env=environment)
     assert docs.stdout.startswith(f"{checkout}|python|-m|sphinx|") and "|-W|" in docs.stdout, docs.stderr
     assert docs.stdout.endswith("|.|out/site|") and f"{checkout}/out/site/index.html" in docs.stderr

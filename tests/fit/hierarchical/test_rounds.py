@@ -157,6 +157,7 @@ def test_settled_and_nothing_left(capture, tmp_path):
     assert all(torch.equal(again.svbrdf[name], result.svbrdf[name]) for name in result.svbrdf.maps)
 
 
+@pytest.mark.slow
 def test_a_fit_that_lacked_rounds_begins_anew_with_more(two_stages, capture, tmp_path):
     short, more = HierarchicalConfig(iterations=6), HierarchicalConfig(iterations=12)
     fit_svbrdf(capture, MITSUBA, short, checkpoint=tmp_path / "c")
