@@ -135,7 +135,7 @@ def _captures_in(folder: Path) -> list[Path]:
     if (folder / TOKEN).is_file():
         return []
     found, inside = _capture_at(folder), list[Path]()
-    if not found or found == folder and not is_calibrated(str(folder)):
+    if os.access(folder, os.R_OK) and (not found or found == folder and not is_calibrated(str(folder))):
         inside = [there for each in sorted(folder.iterdir()) if each.is_dir() and each.name[0] != "."
                   and (there := _capture_at(each))]
     if found and inside:

@@ -129,7 +129,7 @@ def _explain(task: FitTask, options: FitOptions) -> int:
 
 def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, options: FitOptions,
               resume: bool, overwrite: bool) -> tuple[Fit, dict | None]:
-    """Fit, add detail and write the result. Return it, and the last measurement of a resumed run."""
+    """Fit, add detail and write the result. Return it, and the note of the checkpoint it resumed."""
     from ..report.folder import write_fit_files
     from ..report.live import LivePage
 
@@ -142,7 +142,7 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
         page = LivePage(folder, out)
         say(f"live page: {page.path}")
 
-        before = load_tensors(earlier[0])[1].get("trace", [None])[-1] if resume else None
+        before = load_tensors(earlier[0])[1] if resume else None
         with Progress(title) as progress:
             result = fit_svbrdf(shots, engine, config, checkpoint=folder / results.CHECKPOINT,
                                 resume=earlier[0] if resume else None, report=progress, live=page)
@@ -176,9 +176,11 @@ def _say_result(result: Fit, shots: Capture, before: dict | None) -> None:
         say("interrupted: the best result so far was kept; the same command with --resume goes on")
     elif result.stopped == "settled":
         say(f"settled after {seconds:.0f} s: it ended by itself")
-    elif result.trace[-1] == before and result.stopped != "unstable":
+    elif before and result.stopped != "unstable" and before["trace"][0] == result.trace[0] and (
+            before["iteration"] == result.trace[-1]["iteration"]):
+        lacked = ", to twice what it was: it lacked time" if before["lacked"] else ""
         say(f"nothing was left to do after {before['iteration']} iterations and {seconds:.0f} s; raise "
-            "--iterations, or --budget to more than twice these seconds")
+            f"--iterations or --budget{lacked}")
     if shots.views.falloff == "none":
         say("scene.xml has a light that falls off with the distance; this fit's did not")
     sure = result.record["confidence"]

@@ -71,7 +71,7 @@ def _called(row: dict) -> str:
 
 def _verify(materials: Library, folders: Sequence[str], unread: Sequence[str]) -> int:
     """Hash files again; the exit code says whether all are as they were. ``unread`` lost their records."""
-    wrong = dict.fromkeys(unread, f"{RECORD} is missing or damaged")
+    wrong = dict.fromkeys(unread, f"{RECORD} is missing or damaged, or a batch is still to write it")
     with progress_bar("hashing") as report:
         for number, folder in enumerate(folders):
             report(folder, number / len(folders))
@@ -80,7 +80,7 @@ def _verify(materials: Library, folders: Sequence[str], unread: Sequence[str]) -
     for folder, damage in wrong.items():
         say(f"changed: {folder}: {damage}")
     if wrong:
-        say("to mend these, delete their folders and run the same batch again: it makes them anew")
+        say("to mend these, delete their folders while no batch runs, then run the same batch again")
     every = len(folders) + len(unread)
     say(f"unchanged: {every - len(wrong)} of {several(every, 'result')}")
     return int(bool(wrong))

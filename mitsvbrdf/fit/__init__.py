@@ -38,6 +38,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
         config: which method and its settings. Default: ``HierarchicalConfig()``.
         checkpoint: file (.safetensors) to keep the running state in.
         resume: checkpoint to continue from; bit-equal to an uninterrupted run of the same options on a CPU.
+            A fit that lacked time begins anew where ``budget`` or ``iterations`` is twice what it was.
         report: called with (trace entry, share done) after each measurement.
         live: called with the state of the fit about once a second, such as
             :class:`mitsvbrdf.report.live.LivePage`. The fit gives identical results without it.
@@ -61,6 +62,8 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     if resume:
         loop.resume(resume)
     stopped = loop.run()
+    if loop.anew and stopped == "interrupted":
+        raise KeyboardInterrupt  # the earlier result stays
     method.end()
     return diagnosed(task, loop, stopped, stated)
 

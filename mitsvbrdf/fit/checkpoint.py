@@ -5,12 +5,13 @@ A checksum of tensors and note tells a damaged file from a whole one: the format
 
 import hashlib
 import json
+import struct
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError, TensorSpec, safe_open, serialize_file
+from safetensors import SafetensorError, safe_open
 from torch import Tensor
 
 from .. import color
@@ -19,6 +20,8 @@ from ..errors import ConfigError
 from ..io.files import atomic_write, to_disk
 from .config import FitConfig
 
+KINDS = {torch.float32: "F32", torch.float64: "F64", torch.float16: "F16", torch.bfloat16: "BF16",
+         torch.int64: "I64", torch.int32: "I32", torch.int16: "I16", torch.uint8: "U8", torch.bool: "BOOL"}
 MOST_NAMED = 4  # differences from the resumed run that are listed by name
 BANDED = 64  # rows of a tensor that are hashed together
 Held = Tensor | torch.Generator | torch.optim.Optimizer | torch.nn.Module
@@ -26,13 +29,24 @@ Part = Held | Mapping[str, Tensor]  # of a running state
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], note: dict) -> None:
-    """A safetensors file: plain tensors, and a note as JSON text. Loading it runs no code."""
-    text, held = json.dumps(note), {name: value.detach().contiguous() for name, value in tensors.items()}
-    specs = {name: TensorSpec(dtype=str(value.dtype).removeprefix("torch."), shape=list(value.shape),
-                              data_ptr=value.data_ptr(), data_len=value.nbytes)
-             for name, value in held.items()}
+    """A safetensors file: plain tensors, and a note as JSON text. Loading it runs no code.
+
+    It is written tensor by tensor: the format's own library would hold a copy of all of them.
+    """
+    names = sorted(tensors, key=lambda name: (-tensors[name].element_size(), name))  # each is aligned
+    text, end = json.dumps(note), 0
+    about: dict[str, dict] = {"__metadata__": {"mitsvbrdf": text, "sha256": _checksum(tensors, text)}}
+    for name in names:
+        value, begin = tensors[name], end
+        end += value.numel() * value.element_size()
+        about[name] = {"dtype": KINDS[value.dtype], "shape": list(value.shape), "data_offsets": [begin, end]}
+    header = json.dumps(about).encode()
+    header += b" " * (-len(header) % 8)
     with atomic_write(path) as temporary:
-        serialize_file(specs, temporary, {"mitsvbrdf": text, "sha256": _checksum(held, text)})
+        with open(temporary, "wb") as file:
+            file.write(struct.pack("<Q", len(header)) + header)
+            for name in names:
+                file.write(_bytes(tensors[name]))
         to_disk(temporary)  # before it replaces a checkpoint that can be resumed from
 
 

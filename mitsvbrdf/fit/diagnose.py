@@ -82,7 +82,8 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
     said: tuple[str, ...] = (task.repeats.said(),) if task.repeats else ()
     if isinstance(solver, Hierarchical) and stopped != "interrupted" and solver.averages_mix():
         said += (MIXED.format(capture.resolution),)
-    said += (UNSETTLED,) if method.cut_short and method is not solver and loop.iteration else ()
+    unsettled = isinstance(method, SolvedGan) and (method.answer is None or method.cut_short)
+    said += (UNSETTLED,) if unsettled and loop.iteration else ()
     return fit.but(warnings=(*capture.notes[len(notes):], *said, *fit_warnings(fit, capture)))
 
 

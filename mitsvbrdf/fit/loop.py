@@ -53,6 +53,7 @@ class Loop:
         self.trace: list[dict] = []
         self.seen: Seen  # at the latest measurement
         self.best: Seen | None = None
+        self.anew = False  # whether it began again instead of going on
         self.whole = False  # whether the latest measurement was of all texels
 
     def run(self) -> str:
@@ -221,9 +222,9 @@ class Loop:
         save_tensors(self.checkpoint, tensors, note)
 
     def resume(self, path: Path) -> None:
-        """Continue from a checkpoint. A fit that lacked time begins anew if its limits were raised to more
-        than twice the seconds that it took: nothing builds on what it decided in a hurry. ConfigError: it is
-        no checkpoint, or of another kind of fit.
+        """Continue from a checkpoint. A fit that lacked time begins anew where a limit is at least twice what
+        it was: nothing builds on what it decided in a hurry. ConfigError: it is no checkpoint, or of another
+        kind of fit.
         """
         tensors, note = load_tensors(path)
         if note.get("method") != type(self.method).__name__ or note.get("bsdf") != self.config.bsdf:
@@ -237,9 +238,8 @@ class Loop:
         try:
             if wrong := shape_error(note, NOTE):
                 raise ValueError(f"{wrong} in its note")
-            raised = any(now > then for now, then in zip(self._limits, note["lacked"]))
-            if raised and self._limits[0] > 2 * note["seconds"]:
-                self.seconds = note["seconds"]
+            self.anew = any(now >= 2 * then for now, then in zip(self._limits, note["lacked"]))
+            if self.anew:
                 return
             self.method.load_state(part(tensors, "method."))
             lit = part(tensors, "best_views.")

@@ -187,7 +187,7 @@ class SolvedGan(Method[GanConfig]):
     @property
     def cut_short(self) -> bool:
         """Whether the answer of all photos has not settled."""
-        return (self.stage > 0 or self.ended) and not self.solvers[0].done or self.solvers[0].cut_short
+        return self.stage > 0 and not self.solvers[0].done or self.solvers[0].cut_short
 
     def cut_step(self) -> None:
         """Halve the step sizes of the game."""

@@ -116,6 +116,8 @@ def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Pict
         if about.kind == "JPEG" and about.mode in ("L", "RGB"):
             pixels = _jpeg(path, content)
         elif about.kind == "PNG":
+            if b"IEND" not in content:
+                raise ValueError("it ends early")
             pixels = _decoded(imagecodecs.png_decode, content, about.mode == "RGBA")
         elif about.kind == "TIFF" and about.mode != "P":  # for a palette, libtiff gives the indices
             pixels = _decoded(imagecodecs.tiff_decode, content, about.mode == "RGBA")

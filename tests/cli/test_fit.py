@@ -21,7 +21,7 @@ SHOTS = SimpleNamespace(names=("00",), views=SimpleNamespace(falloff="inverse-sq
     ("budget", None, None), ("unstable", 90, None), ("interrupted", None, "the best result so far")])
 def test_how_it_ended(stopped, before, words, capsys):
     _say_result(SimpleNamespace(**ENDED, stopped=stopped), SHOTS,
-                before and ENDED["trace"][0] | {"iteration": before})
+                before and {"iteration": before, "trace": ENDED["trace"], "lacked": []})
     said = capsys.readouterr().out
     assert ("settled" in said) == bool(words and words.startswith("settled"))
     assert ("nothing was left" in said) == bool(words and words.startswith("nothing"))

@@ -155,9 +155,10 @@ def exposures_of(rig: Rig, samples: Samples) -> Array:
     (median polish, Tukey 1977).
     """
     problem, texels = Problem(rig, samples), np.arange(samples.texel.max() + 1)
+    shown = np.bincount(samples.photo, minlength=len(samples.names)) > 0
     apparent, exposures = samples.log - problem.model(problem.begin), np.zeros(len(samples.names))
     for _ in range(POLISHES):
         albedo = median(apparent - exposures[samples.photo], samples.texel, texels)
         exposures = median(apparent - albedo[samples.texel], samples.photo, np.arange(len(exposures)))
-        exposures -= np.median(exposures)
+        exposures = np.where(shown, exposures - np.median(exposures[shown]), 0.0)
     return exposures
