@@ -168,10 +168,10 @@ class Linear(NamedTuple):
 class Problem:
     """The least-squares problem in whitened unknowns u, whose prior is the standard normal distribution.
 
-    The changes of all photos are ``spread @ u``: by ``whitened``, one u for each unknown of each
-    photo (``own``), and two for the offset of the flash that all share (``common_flash``). The cost is |u|^2
-    / 2 plus, for each photo, the sum of Huber's function of residuals over noise, divided by the number of
-    pixels that count as one.
+    ``spread @ u`` gives the changes of all photos. ``whitened`` is the layout of u: ``own`` has a number for
+    each unknown of each photo, ``common_flash`` the offset of the flash that all photos share. The cost is
+    |u|^2 / 2 plus, for each photo, the sum of Huber's function of residuals over noise, divided by the number
+    of pixels that count as one.
     """
 
     def __init__(self, svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors,

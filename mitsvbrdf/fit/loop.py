@@ -206,7 +206,7 @@ class Loop:
         return fingerprints(self.config, self.capture, self.renderer.name, self.method.fixed)
 
     def save(self) -> None:
-        """Write the checkpoint: tensors, and the trace as text in its header; not if the state is broken."""
+        """Write tensors, and the trace as JSON in the header. A state with NaN or infinity is not written."""
         assert self.checkpoint is not None
         state = self.method.state()
         if not all(map(finite, state.values())):

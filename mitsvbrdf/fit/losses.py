@@ -96,9 +96,9 @@ def discriminator(real: Tensor, fake: Tensor, game: Game = "bce") -> Tensor:
     Args:
         real: logits of photos.
         fake: logits of renderings, the same shape.
-        game: ``bce``, cross entropy with photos 1 and renderings 0 (Goodfellow 2014); ``hinge`` (Lim 2017);
-            ``relativistic``, how surely each photo looks more real than the rendering it is paired with
-            (Jolicoeur-Martineau 2019).
+        game: ``bce``, cross entropy with photos 1 and renderings 0 (Goodfellow 2014); ``hinge``, the hinge
+            loss (Lim 2017); ``relativistic``, -log of the probability that a photo looks more real than its
+            paired rendering (Jolicoeur-Martineau 2019).
     """
     if game == "relativistic":
         return F.softplus(fake - real).mean()

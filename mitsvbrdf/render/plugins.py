@@ -192,8 +192,8 @@ def _point_lit() -> type:
     class PointLit(mi.SamplingIntegrator):
         """Light straight from the emitters and after at most one bounce; without a loop, so differentiable.
 
-        ``shadow_rays``: ask whether the light is visible. ``bounces``: 0 or 1. ``environment``: add what rays
-        see that leave the scene. With all of these it draws what Mitsuba's ``path`` draws (tested).
+        ``shadow_rays``: ask whether the light is visible. ``bounces``: 0 or 1. ``environment``: add its
+        radiance for rays that leave the scene. With all, it draws what Mitsuba's ``path`` draws (tested).
         """
 
         def __init__(self, props):

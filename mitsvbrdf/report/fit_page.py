@@ -94,7 +94,7 @@ def write_report(fit: Fit | str | Path, quick: bool = False, held_out: Capture |
 
 
 def check_photos(found: Fit, capture: Capture) -> None:
-    """Raise CaptureError unless these are the photos of the fit, as their errors and calibration tell."""
+    """Raise CaptureError unless calibration, number, size and errors of the photos are those of the fit."""
     way_out = "give the capture that was fitted"
     if capture.calibrated != found.record["capture"]["calibrated"]:
         wanted, got = ("without", "one") if capture.calibrated else ("with", "none")

@@ -1,10 +1,10 @@
 """How accurate float32 can be at a texel.
 
 Float32 holds a direction to about one rounding, u = 2^-24 rad: a normal stored as (n + 1) / 2 is rounded by
-up to 2^-25 a component, and this error doubles when it is read. A normal turned by u changes a number L by
-u |dL/dn|, with dL/dn in the tangent plane. The float64 twin gives both components: all normals are turned by
-u about two perpendicular axes. u is large for float64 and small beside the width of any lobe, so the second
-order does not count. The limit of the relative error is
+up to 2^-25 a component, and this error doubles when it is read. A normal turned by u changes a rendered
+value L by u |dL/dn| at most, with dL/dn in the tangent plane. The float64 twin gives both components: all
+normals are turned by u about two perpendicular axes. u is large for float64 and small beside the width of any
+lobe, so the second order does not count. The limit of the relative error is
 
     u + u |dL/dn| / |L|
 

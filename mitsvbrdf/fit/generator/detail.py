@@ -48,8 +48,8 @@ def with_detail(result: Fit, capture: Capture, renderer: Renderer, config: Detai
                 report: Report = lambda text, share: None) -> Fit:
     """A fit with plausible detail beside its maps, which stay the same; ``capture`` holds its photos.
 
-    Its ``detail`` and ``detail_record`` are filled in. Both stay None after Ctrl-C and where :func:`why_not`
-    gives a reason. ConfigError: settings out of range.
+    The fit returned is a copy with ``detail`` and ``detail_record``. After Ctrl-C, and where :func:`why_not`
+    gives a reason, it is the fit given. ConfigError: settings out of range.
     """
     config = config or DetailConfig()
     config.check()
@@ -192,7 +192,7 @@ class DetailTraining:
 
 
 def matte(svbrdf: SVBRDF) -> SVBRDF:
-    """The material without its highlights: the diffuse map under its normals."""
+    """The material without its highlights: diffuse map and normals stay, specular is 0."""
     maps = dict(svbrdf.as_roughconductor().maps)
     return SVBRDF("roughconductor", maps | {"specular": torch.zeros_like(maps["specular"])})
 
