@@ -193,7 +193,9 @@ class Hierarchical(Method[HierarchicalConfig]):
             self.stages.moved(moved)
             self.stages.saved(float((first - cost.mean()) / first))
         last = (TRIED * others + LAST_STEPS) * self.scale.texels
-        if lobes and self.stages.settled and not self.cut and self.budget.in_time(last):
+        if lobes and self.stages.settled and not self.cut and not self.budget.in_time(last):
+            self.stages.hurried = True
+        elif lobes and self.stages.settled and not self.cut:
             self.stages.closing = True
             scoring = self._scoring()
             self.answer, cost = scoring.scored(self.answer, others)

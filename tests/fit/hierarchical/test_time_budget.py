@@ -17,8 +17,9 @@ from mitsvbrdf.fit.hierarchical import (
     starts,
 )
 from mitsvbrdf.fit.hierarchical.omitted import CROSS_VALIDATION, VIEWS
-from mitsvbrdf.fit.hierarchical.stages import ROUNDS, Stage, Stages
-from mitsvbrdf.fit.hierarchical.time_budget import LAST_STEPS, OTHER_STEPS, STEPS, TimeBudget
+from mitsvbrdf.fit.hierarchical.shared_lobes import TRIED
+from mitsvbrdf.fit.hierarchical.stages import LOBE_ROUNDS, ROUNDS, Stage, Stages
+from mitsvbrdf.fit.hierarchical.time_budget import FAR_STEPS, LAST_STEPS, OTHER_STEPS, STEPS, TimeBudget
 from mitsvbrdf.fit.hierarchical.view_corrections import ViewCorrections
 from mitsvbrdf.material.made import make_material
 
@@ -97,6 +98,17 @@ def test_exact_photos_whose_time_ends_before_full_size_take_steps_there(timed):
     method.step(0.0)
     method.ended = True
     assert method.estimate()[0].resolution == SIDE and clock.calls[-1] == ("solver", SIDE, STEPS)
+
+
+def test_a_fit_without_its_last_steps_has_not_settled(timed):
+    for short in (False, True):
+        method, clock = timed(AMPLE, exact=True)
+        while not method.done:
+            step = method.stages.stage, method.stages.rounds
+            if short and step == (Stage.FINE, LOBE_ROUNDS - 1):  # what comes last lacks time, and nothing else
+                method.budget.in_time = lambda work, *_, **__: work < TRIED * FAR_STEPS * SIDE**2
+            method.step(0.0)
+        assert method.exact.lobes and method.cut_short == short and method.stages.closing != short
 
 
 @pytest.mark.slow
