@@ -100,13 +100,14 @@ def test_exact_photos_whose_time_ends_before_full_size_take_steps_there(timed):
     assert method.estimate()[0].resolution == SIDE and clock.calls[-1] == ("solver", SIDE, STEPS)
 
 
-def test_a_fit_without_its_last_steps_has_not_settled(timed):
+def test_a_fit_without_its_last_steps_has_not_settled(timed, monkeypatch):
     for short in (False, True):
         method, clock = timed(AMPLE, exact=True)
         while not method.done:
             step = method.stages.stage, method.stages.rounds
-            if short and step == (Stage.FINE, LOBE_ROUNDS - 1):  # what comes last lacks time, and nothing else
-                method.budget.in_time = lambda work, *_, **__: work < TRIED * FAR_STEPS * SIDE**2
+            if short and step == (Stage.FINE, LOBE_ROUNDS - 1):  # what comes last lacks time, nothing else
+                monkeypatch.setattr(method.budget, "in_time",
+                                    lambda work, *_, **__: work < TRIED * FAR_STEPS * SIDE**2)
             method.step(0.0)
         assert method.exact.lobes and method.cut_short == short and method.stages.closing != short
 
