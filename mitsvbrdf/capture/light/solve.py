@@ -25,7 +25,7 @@ SURE = 0.2  # standard deviation up to which evenness counts as measured
 LEAST_LOG_NOISE = 0.002  # of log radiance
 EVEN = 0.5  # evenness from which a photo does not say where the flash is
 LOCKED = 4 * EXPOSURE_SD  # a photo that differs by more from the median photo may be exposed otherwise
-MISSED = 9.0  # largest square of an error over noise that counts when two lights are compared
+MISSED, AS_WELL = 9.0, 1.1  # largest square of an error over noise that counts in comparing; ratio of means
 BELOW, ABOVE = 2.0, 3.0  # standard deviations from which negative and positive residuals count less
 
 
@@ -136,7 +136,7 @@ def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
     noise = min(found.noise, other.noise)
     missed, less = (np.average(np.square(each.error / noise).clip(max=MISSED), weights=samples.weight)
                     for each in (found, other))
-    return other if less < 1.1 * missed else found
+    return other if less < AS_WELL * missed else found
 
 
 def _optimum(problem: Problem, counts: Array) -> _Found:
