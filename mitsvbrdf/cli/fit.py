@@ -48,7 +48,8 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
             "Run only the first stage of --preset paper-two-stage: train the generator on the first photo. "
             "OUT is the checkpoint for --pretrained."))] = False,
         resume: Annotated[bool, arg(
-            help="Continue the fit in OUT, finished or not. --iterations and --budget may differ.")] = False,
+            help="Continue the fit in OUT, finished or not. --iterations and --budget may differ. Twice of "
+                 "what a fit lacked begins it anew.")] = False,
         overwrite: Overwrite = False, strict: Strict = False, advanced: Advanced = False) -> int:
     """Recover the maps of a material from photos.
 
@@ -67,8 +68,7 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
     """
     if pretrain:
         if explain or resume or shared.detail != "none":
-            raise ConfigError("--pretrain without --explain, --resume and --detail", "one of them",
-                              "leave it out")
+            raise ConfigError("--pretrain without --explain, --resume, --detail", "one", "leave it out")
         return _pretrain(capture, out, config, shared, overwrite)
     shared.check(config)
     keep_apart(capture, out)
