@@ -22,6 +22,7 @@ def folders(shots, tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 def test_plausible_detail_lies_beside_maps_of_the_same_bytes(folders):
     plain, finished = folders / "plain", folders / "finished"
     names = sorted(path.name for path in (plain / "maps").iterdir())
@@ -37,6 +38,7 @@ def test_plausible_detail_lies_beside_maps_of_the_same_bytes(folders):
     assert "detail" not in json.loads((plain / "fit.json").read_text())
 
 
+@pytest.mark.slow
 def test_pages_say_which_they_show(folders):
     page, look = Page(folders / "finished/report.html"), Page(folders / "finished/detail.html")
     assert "detail.html" in page.addresses and "Live view of the maps" in page.text
@@ -46,6 +48,7 @@ def test_pages_say_which_they_show(folders):
         folders / "plain/report.html").addresses
 
 
+@pytest.mark.slow
 def test_commands_take_plausible_detail_as_they_take_maps(folders, shots, tmp_path, capsys):
     look = folders / "finished/detail"
     assert cli.main(["render", str(look), "--views", str(shots), "-o", str(tmp_path / "r"), "--renderer",

@@ -108,7 +108,7 @@ def test_resume_goes_on_and_needs_a_checkpoint(shots, tmp_path, capsys):
     assert all(torch.equal(a[name], b[name]) for name in a.maps)
 
 
-@pytest.mark.parametrize("generator", ["all-photos", "two-stream"])
+@pytest.mark.parametrize("generator", mostly_slow(["all-photos", "two-stream"], "two-stream"))
 def test_crops_of_one_photo_are_enough(shots, tmp_path, generator):
     # Stationary materials: patches of the one photo stand for the many; the maps are as large as the photo.
     out = tmp_path / "out"

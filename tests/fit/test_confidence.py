@@ -6,6 +6,7 @@ import math
 import pytest
 import torch
 from helpers import ANALYTIC, GRID, TWIN, photos_of
+from helpers.variants import mostly_slow
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
@@ -257,6 +258,7 @@ def test_texels_between_those_whose_valley_is_followed_have_their_own_deviation(
         assert 0.9 < float(columns.median()) < 1.15
 
 
+@pytest.mark.slow
 def test_every_texel_of_large_maps_is_about_as_open_as_if_its_valley_were_followed(monkeypatch):
     # Ratios of both: median 1.00, 5 % below 0.59 to 0.70.
     truth = make_material("inlay", 80)
@@ -269,7 +271,7 @@ def test_every_texel_of_large_maps_is_about_as_open_as_if_its_valley_were_follow
         assert float(ratio.quantile(0.05)) > 0.5, name
 
 
-@pytest.mark.parametrize("side", [16, 80])  # each texel's valley is followed, and some
+@pytest.mark.parametrize("side", mostly_slow([16, 80], 16))  # each texel's valley is followed, and some
 def test_a_texel_that_no_photo_shows_is_as_open_as_its_range(side):
     truth = make_material("inlay", side)
     hidden = torch.zeros(9, side, side, dtype=torch.bool)

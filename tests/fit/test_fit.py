@@ -48,8 +48,8 @@ def with_limits(config, **limits):
     return type(config)(**{**vars(config), **limits})
 
 
-@pytest.mark.parametrize("method", SMALL)
-@pytest.mark.parametrize("bsdf", CHANNELS)
+@pytest.mark.parametrize("method", mostly_slow(SMALL, "direct", "hybrid", "gan"))
+@pytest.mark.parametrize("bsdf", mostly_slow(CHANNELS, "roughconductor"))
 def test_every_method_through_mitsuba(method, bsdf, leather):
     result = fit_svbrdf(leather, make_renderer("mitsuba"),
                         with_limits(SMALL[method], iterations=12, bsdf=bsdf))
@@ -72,6 +72,7 @@ def test_direct_recovers_what_its_photos_show():
     assert errors["diffuse"] < 0.02 and errors["normal"] < 0.02 and errors["normal"] < 0.5 * start["normal"]
 
 
+@pytest.mark.slow
 def test_hybrid_improves_on_its_start(capture):
     result = fit_svbrdf(capture, make_renderer("mitsuba"), HybridConfig(width=8, iterations=60))
     assert result.rerender_rmse < 0.6 * result.trace[0]["rerender_rmse"]

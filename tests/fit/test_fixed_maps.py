@@ -79,7 +79,7 @@ def test_nothing_is_allocated_for_a_map_that_is_held(method, capture):
     assert all(value.untyped_storage().nbytes() <= 12 for value in whole.fixed.values())
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", mostly_slow(METHODS, "direct"))
 def test_one_grey_specular_level(method, capture):
     settings = config_of(method, grey_specular=True, iterations=3)
     made = make_method(FitTask(capture, make_renderer("analytic"), settings,

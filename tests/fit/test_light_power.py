@@ -56,7 +56,8 @@ def test_photos_stay_as_they_are():
     assert torch.allclose(before, after, rtol=1e-6)  # maps in float32: measured 1e-7
 
 
-@pytest.mark.parametrize("kind", [pytest.param("photos", marks=pytest.mark.slow), "sheet"])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["photos", "sheet"])
 def test_a_wrong_power_of_features_is_mended_and_that_of_a_sheet_kept(kind):
     draw = np.random.default_rng(0)
     camera = np.c_[draw.normal(0, 0.35, (9, 2)), draw.normal(2.0, 0.05, 9)]

@@ -156,7 +156,8 @@ def test_what_time_was_too_short_for_is_said(hurried, stage, structure, said, le
     assert [said in dict(parts.omitted_stages(task, each)) for each in (stages, again)] == [hurried] * 2
 
 
-@pytest.mark.parametrize("config", [HierarchicalConfig(iterations=4), DirectConfig(iterations=4)])
+@pytest.mark.parametrize("config", [
+    pytest.param(HierarchicalConfig(iterations=4), marks=pytest.mark.slow), DirectConfig(iterations=4)])
 def test_the_guess_is_made_once(config, leather, monkeypatch):
     made = []
     monkeypatch.setattr("mitsvbrdf.fit.task.guess_diffuse",

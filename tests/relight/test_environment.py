@@ -6,6 +6,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from helpers.variants import mostly_slow
 
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.export.mitsuba import SCENES
@@ -13,7 +14,7 @@ from mitsvbrdf.io import images
 from mitsvbrdf.relight import environment
 
 
-@pytest.mark.parametrize("suffix", ["studio", "sunsky", ".exr", ".hdr"])
+@pytest.mark.parametrize("suffix", mostly_slow(["studio", "sunsky", ".exr", ".hdr"], "studio", ".hdr"))
 def test_white_that_faces_up_has_luminance_0_8(mi, suffix, tmp_path):
     name = suffix
     if suffix.startswith("."):

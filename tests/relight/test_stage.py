@@ -7,6 +7,7 @@ import pytest
 import torch
 from helpers.soaking import kernels_made
 from helpers.stages import drawn, unjittered
+from helpers.variants import mostly_slow
 
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.export.mitsuba import SCENES
@@ -21,10 +22,8 @@ from mitsvbrdf.views import Views
 
 
 def each_with(every, choices):
-    """Each preset with each choice; quick: all of preset ``every``, one of each other."""
-    return [pytest.param(preset, choice, marks=() if preset == every or (row + i) % len(choices) == 0
-                         else pytest.mark.slow)
-            for row, preset in enumerate(PRESETS) for i, choice in enumerate(choices)]
+    """Each preset with each choice; quick: all of preset ``every``."""
+    return mostly_slow([(preset, choice) for preset in PRESETS for choice in choices], every)
 
 
 @pytest.mark.parametrize("preset, bsdf", each_with("sphere", CHANNELS))

@@ -170,6 +170,7 @@ def test_a_real_material_holds(data_folder, tmp_path):
     assert cli.main(["crosscheck", str(data_folder / "materials/metal-plating"), *options]) == 0
 
 
+@pytest.mark.slow
 def test_a_metal_meets_the_tolerances():
     # Metallic exactly 1, narrow highlights on black: nothing but the specular lobe, down to 1e-3 of the mean.
     metal = random_material("principled", 32)

@@ -41,7 +41,7 @@ def config(method, bsdf):
 
 
 @pytest.mark.parametrize("method", mostly_slow(METHODS, "gan"))
-@pytest.mark.parametrize("bsdf", CHANNELS)
+@pytest.mark.parametrize("bsdf", mostly_slow(CHANNELS, "roughconductor"))
 def test_the_generators_weights_get_the_same_gradients_through_every_renderer(method, bsdf, shots):
     task = FitTask(shots, MITSUBA, config(method, bsdf))
     found = differences(task, THROUGH | {fault: Faulty(fault) for fault in FAULTS})

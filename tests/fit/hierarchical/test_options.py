@@ -85,7 +85,7 @@ OPTIONS = {"grey": {"grey_specular": True}, "principled": {"bsdf": "principled"}
     "roughness only": {"fix": ("diffuse=0.1", "specular=0.04", "normal=flat")},
     "matt": {"fix": ("specular=0", "roughness=1")},}
 OF_TWO_SIZES = "matt", "diffuse only", "normal only", "own 0", "own tiny"
-# Options that have nothing to do with each other, in one fit; each alone is in the slow suite.
+# Options that have nothing to do with each other, in one fit.
 TOGETHER = {
     "grey, min, no offset, more than texels, own tiny": "exact", "no neighbours, one material, tails 0, "
                                                                  "views, sharp": "phone",
@@ -94,6 +94,8 @@ TOGETHER = {
     "fix roughness, fix normal, grey": "exact", "principled, fix metallic": "phone",
     "diffuse only": "exact, two sizes",
     "normal only": "phone, two sizes", "roughness only": "phone", "matt": "phone, two sizes"}
+QUICK = ("no neighbours, one material, tails 0, views, sharp", "principled, fix metallic",
+         "fix roughness, fix normal, grey", "diffuse only")
 
 
 def settings_of(options):
@@ -103,7 +105,7 @@ def settings_of(options):
 
 
 @pytest.mark.parametrize("options, kind", [
-    *TOGETHER.items(), *(pytest.param(*alone, marks=pytest.mark.slow) for alone in (
+    *mostly_slow(TOGETHER.items(), *QUICK), *mostly_slow((
         *((name, "phone") for name in OPTIONS),
         *((name, "exact") for name in ("grey", "principled", "fix normal", "fix metallic")),
         *((name, kind) for name in OF_TWO_SIZES for kind in ("phone, two sizes", "exact, two sizes"))))])
@@ -126,7 +128,8 @@ def test_any_options(options, kind, tiles, monkeypatch):
         assert (result.svbrdf["specular"] == result.svbrdf["specular"][..., :1]).all()
 
 
-@pytest.mark.parametrize("renderer", ["analytic", pytest.param("mitsuba-scene", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("renderer", ["analytic", "mitsuba-scene"])
 def test_the_renderer_only_draws_the_comparison(renderer, capture):
     shots, config = capture.averaged(8), HierarchicalConfig(iterations=3)
     plain, other = (fit_svbrdf(shots, make_renderer(name), config) for name in ("mitsuba", renderer))

@@ -30,9 +30,10 @@ def flash_beside(offset):
 # Mean map RMSE at 32 px, worst of seeds 0 to 9: inlay 0.0151, tiles 0.0104, leather 0.0041, plates 0.0161.
 # From one start alone, seeds 1 to 5 and 7 of tiles ended at 0.026, and all of plates at 0.038, as the last
 # bits decide. `direct` after 150 steps: 0.078, 0.067, 0.014, 0.046. A third more is allowed.
-@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
-@pytest.mark.parametrize("name, error", mostly_slow([
-    ("inlay", 0.020), ("tiles", 0.014), ("leather", 0.0055), ("plates", 0.021)], "tiles"))
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("name, error", [
+    ("inlay", 0.020), ("tiles", 0.014), ("leather", 0.0055), ("plates", 0.021)])
 def test_known_materials_come_back(name, error, seed):
     truth = make_material(name, SIDE)
     capture = photos_of(truth)

@@ -36,7 +36,8 @@ def cost_of(method, x, mean, precision):
     return rho.sum(dim=(0, 3)) + (precision * (x - mean).square()).double().sum(dim=0)
 
 
-@pytest.mark.parametrize("exact", [pytest.param(True, marks=pytest.mark.slow), False])
+@pytest.mark.slow
+@pytest.mark.parametrize("exact", [True, False])
 def test_a_round_raises_no_texels_cost(exact, capture, monkeypatch):
     monkeypatch.setattr(stages, "EXACT", 0.006 if exact else 0.0)
     method, rises, with_lobes, reached = method_of(capture.averaged(16)), [], [], []
@@ -89,7 +90,8 @@ def test_photos_whose_side_is_no_multiple_of_the_coarse_one(phone, capture, monk
     assert svbrdf.resolution == seen.resolution == 16
 
 
-@pytest.mark.parametrize("kind", ["exact", pytest.param("phone", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["exact", "phone"])
 def test_resuming_is_bit_equal_at_every_round(kind, two_stages, capture, tmp_path, monkeypatch):
     if kind == "phone":
         monkeypatch.setattr(stages, "EXACT", 0.0)

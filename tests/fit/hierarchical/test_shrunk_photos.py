@@ -31,6 +31,7 @@ def test_nothing_is_told_of_photos_that_still_follow_the_model():
     assert told(photos_of(flat(SIDE, diffuse=0.3, specular=0.04, roughness=0.4)).averaged(LESS)) == 0
 
 
+@pytest.mark.slow
 def test_nothing_is_told_of_photos_that_never_did(monkeypatch):
     monkeypatch.setattr(rounds, "MIXED", 0.5)  # so that averages leave enough, and the pixels decide
     exposed = torch.tensor([0.7, 1.0, 0.85] * 3)[:, None, None, None]  # which no view states

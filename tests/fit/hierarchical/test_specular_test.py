@@ -6,6 +6,7 @@ import pytest
 import torch
 from helpers import GRID, MITSUBA, photos_of
 from helpers.hierarchical_fits import left_alone
+from helpers.variants import mostly_slow
 
 from mitsvbrdf.fit import FitTask, HierarchicalConfig, fit_svbrdf, make_method
 from mitsvbrdf.fit.hierarchical import omitted, specular_test
@@ -37,8 +38,8 @@ def black():
 
 
 @pytest.mark.parametrize("found", [
-    material(0.04, 0.9), material(spot(0.04), 0.3), material(spot(0.5), 0.15),
-    pytest.param(material(spot(0.02, 3), 0.5), marks=pytest.mark.slow)])
+    material(spot(0.04), 0.3), *(pytest.param(each, marks=pytest.mark.slow) for each in (
+        material(0.04, 0.9), material(spot(0.5), 0.15), material(spot(0.02, 3), 0.5)))])
 def test_a_weak_lobe_and_one_texel_that_shines_are_no_matte_material(found):
     assert not left_alone(photos_of(found)).stages.matte
 
@@ -52,7 +53,7 @@ def test_nor_are_they_in_noise_in_which_a_matte_material_is_told(specular, rough
     assert not left_alone(photos_of(found, noise=0.001), exact=True).stages.matte
 
 
-@pytest.mark.parametrize("specular", [0.0, 0.04])
+@pytest.mark.parametrize("specular", mostly_slow([0.0, 0.04], 0.0))
 def test_a_texel_clipped_in_every_photo_says_nothing(specular):
     # Nothing is left of it, so that a ratio of its errors is no number, nor then the sum over all texels.
     found = material(specular, 0.9)
@@ -63,6 +64,7 @@ def test_a_texel_clipped_in_every_photo_says_nothing(specular):
     assert left_alone(photos_of(SVBRDF(found.bsdf, maps), views), exact=True).stages.matte == (specular == 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name, noise, side",
                          [("plates", 0.001, 32), pytest.param("leather", 0.0, 64, marks=pytest.mark.slow)])
 def test_other_matte_materials_with_noise_and_larger(name, noise, side):
@@ -86,14 +88,16 @@ def test_a_matte_material_is_fitted_without_a_lobe(settings):
     assert off < 0.005  # a step of 8 bits is 0.004
 
 
-@pytest.mark.parametrize("settings", [{"bsdf": "principled"}, {"fix": ("roughness=0.5",)},
-                                      {"fix": ("specular=0.04",)}, {"exact": False}])
+@pytest.mark.parametrize("settings", [
+    {"fix": ("roughness=0.5",)}, {"fix": ("specular=0.04",)},
+    *(pytest.param(each, marks=pytest.mark.slow) for each in ({"bsdf": "principled"}, {"exact": False}))])
 def test_who_is_not_asked(settings, black):
     method = left_alone(black, **settings)
     assert not method.stages.matte
     assert (omitted.LOBE in dict(omitted.decided_later(method.task))) is False
 
 
+@pytest.mark.slow
 def test_photos_that_cannot_tell(black):
     assert not left_alone(black.pick(black.index[:1])).stages.matte
     assert not left_alone(replace(black, photos=torch.ones_like(black.photos)), exact=True).stages.matte

@@ -175,6 +175,7 @@ def test_photos_as_stored_give_the_same_fit(exact, monkeypatch):
     assert torch.equal(first.photos, second.photos)
 
 
+@pytest.mark.slow
 def test_a_state_keeps_equal_precisions_once(monkeypatch):
     monkeypatch.setattr(stages, "EXACT", 0.0)
     monkeypatch.setattr(scales, "COARSE", 8)

@@ -175,6 +175,7 @@ def test_the_turns_are_foreseen_as_they_are_made(timed, monkeypatch):
     assert {side for _, side, _ in clock.calls} == {method.scales.of(Stage.ALONE).capture.resolution}
 
 
+@pytest.mark.slow
 def test_a_round_that_was_cut_is_made_again_and_tells_nothing(timed, monkeypatch):
     method, clock = timed(AMPLE)
     while (method.stages.stage, method.stages.rounds) != (Stage.FINE, 1):
