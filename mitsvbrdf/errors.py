@@ -5,9 +5,11 @@ exits with 2. A fault that was corrected is a Python warning, on the command lin
 """
 
 import contextlib
+import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 
@@ -68,6 +70,22 @@ def strict(wanted: bool = True) -> Iterator[None]:
             yield
         except InputWarning as warning:
             raise MitsvbrdfError("files without a fault", str(warning), "or leave --strict out") from None
+
+
+@contextlib.contextmanager
+def noted(folder: Path) -> Iterator[list[str]]:
+    """Inside, the text of every :class:`InputWarning` is kept as well, without the path of this folder."""
+    texts: list[str] = []
+    with warnings.catch_warnings():
+        others = warnings.showwarning
+
+        def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
+            if issubclass(category, InputWarning):
+                texts.append(str(message).replace(f"{folder}{os.sep}", "").replace(str(folder), folder.name))
+            others(message, category, *place, **more)
+
+        warnings.showwarning = show
+        yield texts
 
 
 @contextlib.contextmanager

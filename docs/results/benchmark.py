@@ -140,8 +140,8 @@ published predictions.
 
 {markdown(held, published)}
 Where MaterialGAN saw all nine photos, no photo is held out. `gan` begins at the maps of the \
-default, and changes a map only if held-out photos are predicted better. `gan` alone draws random numbers. What was \
-not run was left out for lack of machine time.
+default, and changes a map only if held-out photos are predicted better. Only `gan` draws random numbers. \
+What was not run was left out for lack of machine time.
 
 ## Each capture, held-out photos 7 and 8
 

@@ -13,7 +13,6 @@ from .. import __version__
 from ..capture.photo import SUFFIXES
 from ..errors import OutputError
 from ..fit.config import FitConfig, HierarchicalConfig
-from ..fit.fixed_maps import named_files
 from ..fit.methods import METHODS
 from ..fit.options import FitOptions, config_record
 from ..io import Report
@@ -55,14 +54,13 @@ class Asked:
     @property
     def identity(self) -> str:
         """SHA-256, in hex, of photos, calibration, options, files that options name, and version."""
-        source, files = self.entry.source, named_files(self.config.fix)
-        files += filter(None, [getattr(self.config, "pretrained", None)])
+        source = self.entry.source
         if is_url(source):
             contents: list[list] = Store(source).contents()
         else:
             files_of = capture_files(Path(source))
             contents = [[os.path.relpath(path, source), file_hash(path)] for path in files_of]
-        named = [[name, file_hash(Path(name))] for name in files if os.path.isfile(name)]
+        named = [[name, file_hash(Path(name))] for name in self.config.files if os.path.isfile(name)]
         known = json.dumps([__version__, self.record, contents, named], sort_keys=True)
         return hashlib.sha256(known.encode()).hexdigest()
 
@@ -125,16 +123,17 @@ def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
 
     A capture that is named twice with the same options counts once.
     """
-    stock, results, known, wanted = Stock(), library.results, library.materials, dict[str, Material]()
+    stock, results, known = Stock(), library.results, library.materials
+    wanted: dict[str, Material] = {}  # by identity
     for material in _materials(list(asked), report):
         if isinstance(material, OutputError):
             stock.unreadable += 1
             stock.notes.append(f"passed over: {material}")
-        elif (twin := wanted.setdefault(material.folder, material)).source != material.source:
+        elif (twin := wanted.setdefault(material.identity, material)).source != material.source:
             stock.notes.append(f"passed over: {material.source} has the photos and options of {twin.source}")
     names, shown = set(results.names()), library.shown()
-    for folder, material in wanted.items():
-        before = known.get(folder)
+    for material in wanted.values():
+        folder, before = material.folder, known.get(material.folder)
         if folder in names:
             there = before
             if before and (before.state != "done" or before.identity != material.identity):

@@ -26,6 +26,7 @@ class Entry(NamedTuple):
     source: str  # its absolute path, or its URL
     own: tuple[str, ...] = ()  # options on its line of a list, split into words
     where: str = ""  # list and line, for errors; empty for a name on the command line
+    base: str = ""  # the folder of the list, where paths in the options start
 
 
 @contextlib.contextmanager
@@ -87,16 +88,18 @@ def local_capture(source: str) -> Iterator[Path]:
         yield target
 
 
-def rectified(folder: Path, out: Path, sheet: float | None, transfer: Transfer | None) -> Path:
+def rectified(folder: Path, out: Path, sheet: float | None, transfer: Transfer | None,
+              resolution: int) -> Path:
     """The capture to fit. Raw photos become a capture in ``out``, with its page; any other stays as it is.
 
-    A transfer of None: as the photos state. CaptureError: the raw photos cannot become a capture.
+    The photos of ``out`` have at most :data:`SIDE` pixels a side, or ``resolution`` if that is more. A
+    transfer of None: as the photos state. CaptureError: the raw photos cannot become a capture.
     """
     from ..capture import write_capture
     from ..capture.align.from_sheet import refuse_tags
     from ..capture.photo import Photo, photos_in
     from ..capture.rig import LEAST_PHOTOS, OnePlace
-    from ..capture.stages import capture_keys, make_capture
+    from ..capture.stages import MOST_SIDE, capture_keys, make_capture
     from ..report.capture_page import write_quality
 
     if is_calibrated(str(folder)):
@@ -107,7 +110,8 @@ def rectified(folder: Path, out: Path, sheet: float | None, transfer: Transfer |
         if len(photos) < LEAST_PHOTOS:
             return folder
     try:
-        made = make_capture(photos, sheet, transfer=transfer, resolution=SIDE)
+        made = make_capture(photos, sheet, transfer=transfer,
+                            resolution=min(max(resolution, SIDE), MOST_SIDE))
     except OnePlace:  # the photos are rectified already, without views: the fit estimates these
         return folder
     write_capture(made.capture, out, capture_keys(made))
@@ -115,15 +119,15 @@ def rectified(folder: Path, out: Path, sheet: float | None, transfer: Transfer |
     return out
 
 
-def _expanded(name: str, own: tuple[str, ...] = (), where: str = "") -> Iterator[Entry]:
+def _expanded(name: str, own: tuple[str, ...] = (), where: str = "", base: str = "") -> Iterator[Entry]:
     """The captures of one name, which may stand in a list."""
     path = Path(os.path.expanduser(name))
     if is_url(name):
-        yield from (Entry(url, own, where) for url in _behind(name))
+        yield from (Entry(url, own, where, base) for url in _behind(name))
     elif path.is_dir():
-        yield from (Entry(os.path.realpath(folder), own, where) for folder in _captures_in(path))
+        yield from (Entry(os.path.realpath(folder), own, where, base) for folder in _captures_in(path))
     elif path.suffix.lower() == ".json" and path.is_file():
-        yield Entry(os.path.realpath(path), own, where)
+        yield Entry(os.path.realpath(path), own, where, base)
     elif not where and path.is_file():
         yield from _listed(path)
     else:
@@ -189,4 +193,4 @@ def _listed(path: Path) -> Iterator[Entry]:
                 raise ConfigError("a capture and its options", str(reason), "close the quotes") from None
             if words:
                 source = words[0] if is_url(words[0]) else str(path.parent / os.path.expanduser(words[0]))
-                yield from _expanded(source, tuple(words[1:]), where)
+                yield from _expanded(source, tuple(words[1:]), where, os.path.abspath(path.parent))

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING
 import msgspec
 
 from .. import __version__
-from ..errors import MitsvbrdfError, plain_warnings, strict
+from ..errors import MitsvbrdfError, noted, plain_warnings, strict
 from .captures import TOKEN, local_capture, rectified
 from .records import Material, Row
 from .results import NO_SPACE, WORK, ResultStore
@@ -96,10 +96,12 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
 
     config, options = config_of(asked["config"]), FitOptions(**asked["options"])
     transfer = None if options.transfer == "auto" else options.transfer
-    made = rectified(capture, out / "capture", asked["sheet"], transfer)
-    photos = read_capture(made, options.resolution, transfer=transfer if made == capture else None,
-                          falloff=options.light(config))
-    photos = photos.but(source=photos.source if made == capture else capture)  # what it is called
+    with noted(capture) as faults:
+        made = rectified(capture, out / "capture", asked["sheet"], transfer, options.resolution)
+        photos = read_capture(made, options.resolution, transfer=transfer if made == capture else None,
+                              falloff=options.light(config))
+    photos = photos.but(source=photos.source if made == capture else capture,  # what it is called
+                        notes=tuple(dict.fromkeys((*faults, *photos.notes))))
     shots, shown = options.chosen(photos)
     engine = _renderer(options.renderer, options.variant)
     result = fit_svbrdf(shots, engine, config)
@@ -107,17 +109,20 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
         result = with_detail(result, shots, engine, settings)
     write_fit_files(result, shots, out, options.record(shots), shown, pages=asked["pages"])
     write_preview(out / "preview.jpg", result)
-    return _row(out)
+    return _row(out, faults)
 
 
-def _row(folder: Path) -> Row:
-    """The row of a fit in the list of materials. Only report.json of a fit has the held-out error."""
+def _row(folder: Path, faults: list[str]) -> Row:
+    """The row of a fit in the list of materials; ``faults`` of its photos are among the warnings. Only
+    report.json of a fit has the held-out error.
+    """
     from ..fit.record import record_in
     from ..io.json import load
 
     record, page = record_in(folder), folder / "report.json"
     burn_in = [value for name, value in record["burn_in"].items() if name in ("specular", "roughness")]
-    return Row(error=record["rerender_rmse"], burn_in=max(burn_in, default=None), warnings=record["warnings"],
+    return Row(error=record["rerender_rmse"], burn_in=max(burn_in, default=None),
+               warnings=[*dict.fromkeys(faults), *record["warnings"]],
                held_out_error=load(page)["held_out_rmse"] if page.is_file() else None,
                photos=len(record["capture"]["photos"]))
 

@@ -38,6 +38,7 @@ class Record(TypedDict):
     resolution: int
     views: NotRequired[str]
     held_out: NotRequired[list[int]]
+    content: NotRequired[str]  # digest of photos, maps and views; version 1 does not state it
     config: dict[str, Any]
     renderer: str
     budget: float

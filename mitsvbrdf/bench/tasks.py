@@ -4,16 +4,19 @@ import math
 import os
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
 import torch
+from torch import Tensor
 
 from ..capture import Capture, read_capture
 from ..color import to_display
 from ..errors import ConfigError
 from ..evaluate import evaluate_maps
 from ..evaluate.placement import named_views
+from ..fit.checkpoint import digest
 from ..material.made import MATERIALS, make_material
 from ..material.map_files import load_maps
 from ..material.maps import SVBRDF
@@ -42,7 +45,11 @@ class KnownMaterial:
     def key(self) -> dict:
         """What identifies the task in a record."""
         return {"kind": self.kind, "name": self.name, "resolution": self.photos.resolution,
-                "views": self.seen_from}
+                "views": self.seen_from, "content": self._content}
+
+    @cached_property
+    def _content(self) -> str:
+        return _digest(*self.truth.maps.values(), *_numbers(self.photos.views))
 
     def errors(self, svbrdf: SVBRDF, predict: Predict) -> dict[str, float]:
         """RMSE of each map, their ``mean``, and the RMSE of ``novel_light`` images and of the ``photos``."""
@@ -70,7 +77,13 @@ class RealCapture:
     def key(self) -> dict:
         """What identifies the task in a record."""
         return {"kind": self.kind, "name": self.name, "resolution": self.photos.resolution,
-                "held_out": list(self.held_out)}
+                "held_out": list(self.held_out), "content": self._content}
+
+    @cached_property
+    def _content(self) -> str:
+        shots = [each for each in (self.photos, self.unseen) if each]
+        return _digest(*(part for each in shots for part in (
+            each.stored, *([] if each.measured is None else [each.measured]), *_numbers(each.views))))
 
     def errors(self, svbrdf: SVBRDF, predict: Predict) -> dict[str, float]:
         """RMSE of the photos ``seen`` and ``held_out``."""
@@ -152,6 +165,15 @@ def data_folder(folder: Path | None = None) -> Path | None:
         raise ConfigError("a folder with captures/ or materials/", str(named),
                           "check --data and MITSVBRDF_DATA")
     return named
+
+
+def _digest(*tensors: Tensor) -> str:
+    """What tells tasks of one name apart: 16 hex digits of the SHA-256 of their values."""
+    return digest(*tensors)[:16]
+
+
+def _numbers(views: Views) -> tuple[Tensor, ...]:
+    return views.camera, views.light, views.intensity
 
 
 def novel_views(views: Views) -> Views:

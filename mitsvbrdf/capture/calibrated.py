@@ -8,6 +8,7 @@ number, before a :class:`Capture` is made.
 import contextlib
 import json
 import reprlib
+import warnings
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -17,13 +18,13 @@ import torch
 from msgspec import Meta
 
 from .. import color
-from ..errors import CaptureError
+from ..errors import CaptureError, InputWarning
 from ..io.decode import header, picture, upright
 from ..io.images import averaged, display, unmasked
 from ..io.json import error_text, load
 from ..views import Falloff, Views, default_views
 from .capture import LEAST_SIDE, Calibration, Capture, Converted, converted, notes_of, single_pixels
-from .photo import HEIC, PLAIN, files_of
+from .photo import HEIC, PLAIN, files_of, listed
 from .rectify import filled
 from .sharpness import CLEARLY, MOST_PHOTOS, carried, middle
 from .turned import SIDE, laid_alike
@@ -147,9 +148,7 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
     headers = [header(path, CaptureError) for path in paths]
     side = _common_side(paths, [each.size for each in headers], source)
     kept = min(side, resolution or side)
-    if (held := len(paths) * kept**2) > MOST_HELD:
-        raise CaptureError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together",
-                           f"{held / 1e6:.0f} in {source}", "read them at a lower resolution")
+    check_held(len(paths), kept, source)
     photos, outside = np.empty(0), {}
     middles, single, larger = list[np.ndarray](), list[np.ndarray](), list[np.ndarray]()
     for row, (path, about) in enumerate(zip(paths, headers)):
@@ -181,6 +180,13 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
     return laid_alike(capture, Capture(torch.from_numpy(np.stack(larger)), views)) if larger else capture
 
 
+def check_held(photos: int, side: int, source: Path) -> None:
+    """CaptureError: so many photos of this size, once shrunk, hold too many pixels."""
+    if (held := photos * side**2) > MOST_HELD:
+        raise CaptureError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together",
+                           f"{held / 1e6:.0f} in {source}", "read them at a lower resolution")
+
+
 def _common_side(paths: list[Path], sizes: list[tuple[int, int]], source: Path) -> int:
     """Pixels a side of photos that are square and all of one size."""
     for path, (width, height) in zip(paths, sizes):
@@ -200,7 +206,11 @@ def _common_side(paths: list[Path], sizes: list[tuple[int, int]], source: Path) 
 def _numbered(folder: Path) -> dict[int, Path]:
     """The photos NN.png or NN.jpg of a folder by their number, in order."""
     paths: dict[int, Path] = {}
-    for path in files_of(folder, PLAIN + HEIC):
+    found = files_of(folder, PLAIN + HEIC)
+    if others := [path.name for path in found if path.stem[0].isdecimal() > path.stem.isdecimal()]:
+        warnings.warn(f"{folder} holds photos that are not read: {listed(others)}; a photo of a calibrated "
+                      "capture is named by its number, as 00.png", InputWarning, stacklevel=2)
+    for path in found:
         if not path.stem.isdecimal():
             continue
         if int(path.stem) in paths:

@@ -140,6 +140,11 @@ def files_of(folder: Path, suffixes: Sequence[str] | None) -> list[Path]:
                   and p.name[0] != "." and p.is_file())
 
 
+def listed(names: Sequence[str]) -> str:
+    """The first four names, and how many more there are."""
+    return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if names[4:] else "")
+
+
 @kinds_checked
 def photos_in(folder: str | Path) -> list[Path]:
     """The photos of a folder, sorted by name, without hidden ones.
@@ -150,13 +155,12 @@ def photos_in(folder: str | Path) -> list[Path]:
     found = files_of(folder := Path(folder), SUFFIXES)
     check_names(*found)
     others = [p.name for p in files_of(folder, None) if p.suffix.lower() not in SUFFIXES + BESIDE]
-    listed = ", ".join(others[:4]) + (f" and {len(others) - 4} more" if others[4:] else "")
     way_out = "export what is a photo as JPEG, PNG, TIFF or HEIC"
     if not found:
-        raise CaptureError("photos (jpg, png, heic, dng, ...)", f"{listed or 'none'} in {folder}",
+        raise CaptureError("photos (jpg, png, heic, dng, ...)", f"{listed(others) or 'none'} in {folder}",
                            way_out if others else "give the folder that holds them")
     if others:
-        warnings.warn(f"{folder} holds files that are not read: {listed}; {way_out}", InputWarning,
+        warnings.warn(f"{folder} holds files that are not read: {listed(others)}; {way_out}", InputWarning,
                       stacklevel=3)
     raw = [p for p in found if p.suffix.lower() in RAW]
     if raw and len(raw) < len(found):

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from .. import color
-from ..errors import CaptureError, ConfigError
+from ..errors import CaptureError, ConfigError, noted
 from ..io import Report, files
 from ..io.decode import Picture, upright
 from ..io.entry import entry
@@ -20,7 +20,7 @@ from ..io.json import load
 from ..material.naming import SUFFIXES as MAPS
 from ..material.naming import kind_of
 from ..views import FIELD_OF_VIEW, Falloff, default_views
-from .calibrated import from_json, from_text, stated_in
+from .calibrated import check_held, from_json, from_text, stated_in
 from .capture import LEAST_SIDE, Capture, converted, notes_of, used_transfer
 from .lens import field_of_view
 from .photo import SUFFIXES, Photo, Unreadable, differences, files_of, photos_in, with_one_balance
@@ -77,36 +77,44 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
         raise ConfigError(f"a resolution of {LEAST_SIDE} or more", str(resolution), "choose a larger one")
     if transfer is not None:
         color.parts(transfer)
-    if path.is_file() and path.suffix.lower() == ".json":
-        capture = from_json(path, falloff, resolution)
-    elif path.is_file() and path.suffix.lower() in SUFFIXES:
-        capture = _from_plain(path, falloff, resolution, transfer, report)
-    elif path.is_file():
-        raise CaptureError("a photo or a folder of photos", f"the file {path}", OF_MATERIALS)
-    elif not path.is_dir():
-        raise CaptureError("a photo or a folder of photos", f"no folder at {path}", "check the name")
-    elif (path / "capture.json").is_file():
-        capture = from_json(path / "capture.json", falloff, resolution)
-    elif (path / "camera_pos.txt").is_file():
-        capture = from_text(path, falloff, resolution)
-    elif (path / "fit.json").is_file():
-        raise CaptureError("a folder of photos", f"{path}, the result of a fit",
-                           "name the folder that was fitted")
-    elif stated := stated_in(path):
-        capture = from_json(stated, falloff, resolution)
-        capture = capture.but(notes=(f"the calibration is that of {stated.name}", *capture.notes))
-    elif {"normal", "roughness"} <= {kind.partition(" ")[0] for p in files_of(path, MAPS)
-                                     for kind in kind_of(p.stem)}:
-        raise CaptureError("a folder of photos", f"the maps of a material in {path}", OF_MATERIALS)
-    else:
-        capture = _from_plain(path, falloff, resolution, transfer, report)
-        if above := _stated_above(path):
-            note = f"{above} states views of these photos, which are read without them: name it instead"
-            capture = capture.but(notes=(*capture.notes, note))
+    with noted(path) as faults:
+        capture = _read(path, resolution, falloff, transfer, report)
     capture = laid_alike(capture)
     capture = capture if index is None else capture.pick(index)
     transfer, told = used_transfer(transfer or capture.transfer, capture.colours)
-    return _shrunk(capture.but(transfer=transfer, notes=(*capture.notes, *told)), resolution)
+    notes = tuple(dict.fromkeys((*capture.notes, *faults, *told)))
+    return _shrunk(capture.but(transfer=transfer, notes=notes), resolution)
+
+
+def _read(path: Path, resolution: int | None, falloff: Falloff, transfer: color.Transfer | None,
+          report: Report) -> Capture:
+    """The capture at a path, by what lies there."""
+    if path.is_file() and path.suffix.lower() == ".json":
+        return from_json(path, falloff, resolution)
+    if path.is_file() and path.suffix.lower() in SUFFIXES:
+        return _from_plain(path, falloff, resolution, transfer, report)
+    if path.is_file():
+        raise CaptureError("a photo or a folder of photos", f"the file {path}", OF_MATERIALS)
+    if not path.is_dir():
+        raise CaptureError("a photo or a folder of photos", f"no folder at {path}", "check the name")
+    if (path / "capture.json").is_file():
+        return from_json(path / "capture.json", falloff, resolution)
+    if (path / "camera_pos.txt").is_file():
+        return from_text(path, falloff, resolution)
+    if (path / "fit.json").is_file():
+        raise CaptureError("a folder of photos", f"{path}, the result of a fit",
+                           "name the folder that was fitted")
+    if stated := stated_in(path):
+        capture = from_json(stated, falloff, resolution)
+        return capture.but(notes=(f"the calibration is that of {stated.name}", *capture.notes))
+    if {"normal", "roughness"} <= {kind.partition(" ")[0] for p in files_of(path, MAPS)
+                                     for kind in kind_of(p.stem)}:
+        raise CaptureError("a folder of photos", f"the maps of a material in {path}", OF_MATERIALS)
+    capture = _from_plain(path, falloff, resolution, transfer, report)
+    if above := _stated_above(path):
+        note = f"../{above.name} states views of these photos, which are read without them: name it instead"
+        capture = capture.but(notes=(*capture.notes, note))
+    return capture
 
 
 @entry()
@@ -208,6 +216,7 @@ def _rectified(photos: Sequence[Photo], falloff: Falloff, folder: Path, resoluti
 def _unposed(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None,
              notes: Sequence[str], index: Sequence[int] = (0,)) -> Capture:
     """Middle squares of photos as they are shown, in the default geometry."""
+    check_held(len(photos), min(*photos[0].size, resolution or MOST_SQUARE), folder)
     photos, told = with_one_balance(photos)
     squares, outside = [], {}
     for photo in photos:

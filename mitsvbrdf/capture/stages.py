@@ -7,12 +7,13 @@ is in memory. Of each photo, the rectified patch and a small copy of the whole a
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal, get_args
 
 import torch
 
 from .. import color
-from ..errors import ConfigError
+from ..errors import ConfigError, noted
 from ..io import Report
 from ..io.entry import entry
 from ..views import coverage_angle
@@ -93,6 +94,15 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
                           f"{depth_cm:g} cm", "measure how far it is, in cm")
     if reference not in get_args(Reference):
         raise ConfigError(f"a reference of {get_args(Reference)}", repr(reference), "choose one of these")
+    with noted(photos[0].path.parent if photos else Path()) as faults:
+        made = _in_stages(photos, sheet_cm, depth_cm, transfer, resolution, reference, report)
+    return replace(made, warnings=tuple(dict.fromkeys((*faults, *made.warnings))))
+
+
+def _in_stages(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float,
+               transfer: color.Transfer | None, resolution: int, reference: Reference,
+               report: Report) -> CaptureResult:
+    """The stages of :func:`make_capture`, whose arguments these are."""
     paper = None if sheet_cm is None else Sheet(sheet_cm).white
     kept, rejected, notes = of_one_camera(photos)
     check_enough(kept, rejected)

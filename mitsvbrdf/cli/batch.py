@@ -3,13 +3,15 @@
 import contextlib
 import io
 import itertools
+import os
 import re
 import shlex
 import sys
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, UseAppendAction, arg
 
@@ -21,6 +23,8 @@ from ..batch.run import Batch
 from ..batch.settings import BatchSettings
 from ..batch.tasks import RayTasks, require_ray
 from ..errors import ConfigError
+from ..fit.config import FitConfig
+from ..fit.fixed_maps import named_files
 from ..fit.options import FitOptions
 from ..io.progress import progress_bar, say
 from .fit import Advanced, Settings, settings, with_flags
@@ -63,6 +67,8 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
     require_ray()
     base = Asked(Entry(""), config, shared, pages == "all", _split(tag), sheet, strict)
     asked = [with_own_options(entry, base) for entry in captures(names)]
+    for each in asked:
+        _check_files(each)
     results = ResultStore(out)
     with results.claimed() as token:
         results.clear_work()
@@ -81,7 +87,7 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
                 say(f"stopped: {work.trouble}; the same command goes on")
         else:
             library.write()
-        return _ended(library, interrupted, stock.unreadable)
+        return _ended(library, stock, interrupted)
 
 
 def with_own_options(entry: Entry, base: Asked) -> Asked:
@@ -105,9 +111,31 @@ def with_own_options(entry: Entry, base: Asked) -> Asked:
         raise ConfigError("options of `mitsvbrdf fit`, --tag, --pages or --sheet",
                           f"{shlex.join(entry.own)} ({_plain(said.getvalue())}; {entry.where})",
                           "mend the line") from None
+    own = {word.partition("=")[0] for word in words}
     with told_with(entry.where):
+        asked = replace(asked, config=_from_folder(asked.config, entry.base, own))
         asked.options.check(asked.config)
     return asked
+
+
+def _from_folder(config: FitConfig, folder: str, own: set[str]) -> FitConfig:
+    """The settings; paths of the options named ``own`` start at the folder."""
+    changes: dict[str, Any] = {}
+    if "--fix" in own:
+        there = {file: os.path.join(folder, file) for file in named_files(config.fix)}
+        changes["fix"] = tuple("=".join((name, there.get(value, value)))
+                               for name, _, value in (item.partition("=") for item in config.fix))
+    if "--pretrained" in own and (pretrained := getattr(config, "pretrained", None)):
+        changes["pretrained"] = os.path.join(folder, pretrained)
+    return replace(config, **changes)
+
+
+def _check_files(asked: Asked) -> None:
+    """ConfigError: a file is missing that the settings name."""
+    with told_with(asked.entry.where):
+        for file in asked.config.files:
+            if not os.path.isfile(file):
+                raise ConfigError("a number or a file that is there", file, "check the path")
 
 
 def _plain(box: str) -> str:
@@ -130,17 +158,18 @@ def _say_stock(stock: Stock, results: ResultStore) -> None:
     say(f"{len(stock.work)} to fit into {results.address}" + (f"; {', '.join(known)}" if known else ""))
 
 
-def _ended(library: Library, interrupted: bool, unreadable: int) -> int:
-    """Print how the batch ended, and return the exit code."""
+def _ended(library: Library, stock: Stock, interrupted: bool) -> int:
+    """Print how the batch ended, and return the exit code, which counts what was asked for."""
     counts, home = library.counts(), library.results.address
     failed = [each for each in library.shown().values() if each.state == "failed"]
     for each in sorted(failed, key=lambda each: each.name)[:TOLD]:
         log = f"; its log: {home}/{FAILED}/{each.folder}/{LOG}" if each.log else ""
         say(f"failed: {each.name} ({each.source}): {each.reason}{log}")
     words = [f"{counts['done']} done"] + [f"{n} {what}" for n, what in (
-        (counts["failed"], "failed"), (unreadable, "passed over"), (counts["pending"], "left")) if n]
+        (counts["failed"], "failed"), (stock.unreadable, "passed over"), (counts["pending"], "left")) if n]
     more = "; the same command goes on" if counts["pending"] else ""
     say(f"{', '.join(words)}; {home}/{PAGE} shows them{more}")
-    if counts["failed"] or unreadable:
-        return 1
-    return INTERRUPTED if interrupted and counts["pending"] else int(counts["pending"] > 0)
+    ended = Counter(library.materials[each.folder].state for each in stock.work)
+    if interrupted and ended["pending"]:
+        return INTERRUPTED
+    return int(bool(ended["pending"] or ended["failed"] or stock.failed or stock.unreadable))

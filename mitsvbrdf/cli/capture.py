@@ -10,7 +10,7 @@ from rich.table import Table
 from tyro.conf import Positional, arg
 
 from ..capture.align.sheet import PAPER_THICKNESS
-from ..errors import ConfigError
+from ..errors import ConfigError, noted
 from ..io import results
 from ..io.progress import print_rich, progress_bar, say
 from ..io.signals import deferred_signals
@@ -62,19 +62,19 @@ def capture(photos: Annotated[Positional[Path], arg(
     if sheet is None:
         refuse_tags(raw)
     with contextlib.ExitStack() as last, results.output_folder(out, overwrite) as folder:
-        with progress_bar("capture") as report:
+        with noted(photos) as warned, progress_bar("capture") as report:
             result = make_capture(raw, sheet, depth, None if transfer == "auto" else transfer, resolution,
                                   reference, report)
         last.enter_context(deferred_signals())  # until all is in place
         write_capture(result.capture, folder, capture_keys(result))
         write_quality(result, folder)
-    _print(result)
+    _print(result, warned)
     say(f"wrote {out}/quality.html, capture.json, target/; next: mitsvbrdf fit {out} -o OUT")
     return 0
 
 
-def _print(result: "CaptureResult") -> None:
-    """Print each photo with its number in a fit or the reason for its rejection, then the notes."""
+def _print(result: "CaptureResult", warned: list[str]) -> None:
+    """Print each photo with its number in a fit or the reason for its rejection, then notes not said yet."""
     from ..capture.quality.next_view import HIGHLIGHT_ANGLE
 
     table = Table(title=f"{len(result.used)} of {len(result.photos)} photos used", title_justify="left")
@@ -91,7 +91,8 @@ def _print(result: "CaptureResult") -> None:
                       *((f"{quality.sharpness:.2f}", f"{quality.clipped:.0%}") if quality else ("", "")))
     print_rich(table, markup=False)
     for warning in result.warnings:
-        say(f"note: {warning}")
+        if warning not in warned:
+            say(f"note: {warning}")
     if not result.capture.calibrated:
         return
     say(f"{result.covered:.0%} of the patch has a highlight, within {math.degrees(HIGHLIGHT_ANGLE):.0f} "

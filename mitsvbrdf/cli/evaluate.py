@@ -53,7 +53,7 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
     svbrdf = options.material_of(maps) if reference else options.material_of(maps, 256, encoding, normal)
     found: dict[str, Any]
     if reference is not None:
-        found = options.errors_against(reference, 256, encoding, normal)(svbrdf)
+        found = options.errors_against(reference, svbrdf.resolution, encoding, normal)(svbrdf)
         print_numbers("Map RMSE", found)
     elif capture is not None:
         fit = options.fit_of_maps(maps)

@@ -2,6 +2,7 @@
 
 import argparse
 import contextlib
+import math
 from collections.abc import Sequence
 from dataclasses import field, fields, make_dataclass
 from pathlib import Path
@@ -190,6 +191,9 @@ def _say_result(result: Fit, shots: Capture, before: dict | None) -> None:
     if result.deviations_with_look_alikes:
         say("with look-alikes: " + ", ".join(f"{name} {_deviation(each['with_look_alikes'])}"
                                              for name, each in sure.items()))
+    if power := result.record["calibration"]["log_power_sd"]:
+        say(f"not counted: the light power, known to a factor of {math.exp(power):.1f}; diffuse and specular "
+            "scale with it")
     say("±: median deviation by a texel's own photos, maps counted from 0 to 1, colours as linear^(1/2.2), "
         f"normals as (n + 1) / 2; determined: texels below ±{DETERMINED:g}; the others follow texels that "
         "look alike")

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from tyro.conf import UseAppendAction, arg
 
 from ..color import Transfer
-from ..errors import ConfigError, OutputError
+from ..errors import ConfigError, OutputError, noted
 from ..io import files
 from ..io.progress import progress_bar, say
 from ..io.results import MANIFEST, own_files
@@ -153,7 +153,7 @@ def read_photos(capture: Path, resolution: int, views: str | None, transfer: Tra
     from ..views import photo_numbers
 
     check_side(resolution)
-    with ExitStack() as open_bar:
+    with noted(capture) as warned, ExitStack() as open_bar:
         # only plain photos report progress
         bar = functools.cache(lambda: open_bar.enter_context(progress_bar("capture")))
         shots = read_capture(capture, resolution=resolution, index=photo_numbers(views), falloff=falloff,
@@ -162,7 +162,8 @@ def read_photos(capture: Path, resolution: int, views: str | None, transfer: Tra
     if shots.source and (shots.source / "quality.html").is_file():
         say(f"photos go by their numbers in {shots.source}/quality.html, which names the file of each")
     for note in shots.notes:
-        say(note)
+        if note not in warned:
+            say(note)
     return shots
 
 

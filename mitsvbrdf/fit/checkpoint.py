@@ -18,6 +18,7 @@ from .. import color
 from ..capture import Capture
 from ..errors import ConfigError
 from ..io.files import atomic_write, to_disk
+from ..render import Renderer
 from .config import FitConfig
 
 KINDS = {torch.float32: "F32", torch.float64: "F64", torch.float16: "F16", torch.bfloat16: "BF16",
@@ -136,7 +137,7 @@ def _load_optimizer(name: str, optimizer: torch.optim.Optimizer, state: dict[str
     optimizer.load_state_dict({"state": entries, "param_groups": optimizer.state_dict()["param_groups"]})
 
 
-def fingerprints(config: FitConfig, capture: Capture, renderer: str,
+def fingerprints(config: FitConfig, capture: Capture, renderer: Renderer,
                  fixed: Mapping[str, Tensor]) -> dict[str, str]:
     """Fingerprints, by name, of everything that determines a fit, except its limits.
 
@@ -146,7 +147,8 @@ def fingerprints(config: FitConfig, capture: Capture, renderer: str,
     parts = {f"--{name.replace('_', '-')}": repr(value) for name, value in asdict(config).items()
              if name not in ("iterations", "budget", "fix")}
     parts |= {f"--fix {name}": digest(value) for name, value in sorted(fixed.items())}
-    parts |= {"--renderer": renderer, "--transfer": capture.transfer, "--falloff": views.falloff,
+    parts |= {"--renderer": renderer.name, "--variant": renderer.variant or "",
+              "--transfer": capture.transfer, "--falloff": views.falloff,
               "size of the patch": repr(views.size)}
     for row, name in enumerate(capture.names):
         parts[f"photo {name}"] = digest(capture.stored[row], *(

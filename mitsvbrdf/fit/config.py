@@ -17,7 +17,7 @@ from ..kinds import check_fields
 from ..material.maps import Bsdf
 from ..views import Falloff
 from . import losses
-from .fixed_maps import stated_maps
+from .fixed_maps import named_files, stated_maps
 
 POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_steps", "materials",
             "similarity", "spread", "relief", "noise", "pictures", "discriminator_rate")
@@ -68,6 +68,11 @@ class FitConfig:
     """Hold a map fixed: NAME=VALUE (a number, r,g,b, an image file, or normal=flat). May be repeated."""
     grey_specular: Switch = False
     """One grey specular level a texel instead of three channels."""
+
+    @property
+    def files(self) -> list[str]:
+        """The files that the settings name."""
+        return named_files(self.fix)
 
     def check(self) -> None:
         """Raise ConfigError for wrong types, numbers out of range, and words that are no choice."""

@@ -111,6 +111,11 @@ class GanConfig(FitConfig):
             object.__setattr__(self, "grey_specular", False)  # no specular map is fitted
 
     @property
+    def files(self) -> list[str]:
+        """The files that the settings name."""
+        return super().files + ([self.pretrained] if self.pretrained else [])
+
+    @property
     def begins(self) -> Start:
         """Where the generator begins; default: the guess if a setting of its game is given, else solved."""
         return self.start or ("guess" if self._of_guess else "solved")

@@ -203,7 +203,7 @@ class Loop:
         return [self.config.budget or 1e9, self.config.iterations or 1e9]
 
     def _task(self) -> dict[str, str]:
-        return fingerprints(self.config, self.capture, self.renderer.name, self.method.fixed)
+        return fingerprints(self.config, self.capture, self.renderer, self.method.fixed)
 
     def save(self) -> None:
         """Write tensors, and the trace as JSON in the header. A state with NaN or infinity is not written."""

@@ -59,7 +59,8 @@ def _table(record: dict) -> list[dict]:
         groups.append({"title": "Map RMSE",
                        "rows": [row(TITLES.get(name, name), [m["map_rmse"][name] for m in methods])
                                 for name in (*MAPS, "mean")]})
-    unmoved = not any(m["flash_offset"] for m in methods)
+    counted = len({(m["transfer"], m["falloff"]) for m in methods}) == 1
+    unmoved = counted and not any(m["flash_offset"] for m in methods)
     calibrated = not any(m["fitted_views"] for m in methods)
     alike = calibrated and unmoved
     rows = [row("all photos, as pictured", [m["rerender_rmse"] for m in methods], alike)]
@@ -72,7 +73,7 @@ def _table(record: dict) -> list[dict]:
                         [m["calibrated"]["rerender_rmse"] for m in methods], unmoved))
     if methods[0]["refined"]:
         rows.append(row("all, views refined for every method",
-                        [m["refined"]["rerender_rmse"] for m in methods]))
+                        [m["refined"]["rerender_rmse"] for m in methods], counted))
     rows += [row(f"photo {name}", [m["per_photo"][name] for m in methods], alike)
              for name in record["photos"]]
     groups.append({"title": "Re-rendering RMSE", "rows": rows})

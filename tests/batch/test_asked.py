@@ -12,7 +12,7 @@ from helpers.batches import asked, make_capture
 
 from mitsvbrdf.batch.asked import Asked
 from mitsvbrdf.batch.captures import Entry
-from mitsvbrdf.cli.batch import with_own_options
+from mitsvbrdf.cli.batch import _check_files, with_own_options
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import GanConfig, HierarchicalConfig
 from mitsvbrdf.fit.options import FitOptions
@@ -46,6 +46,14 @@ def test_a_mistake_on_a_line_is_one_plain_error(line, told, encoding, monkeypatc
     assert told in str(error.value)
     assert not any(drawn in str(error.value) for drawn in ("│", "╭", "╰", "─", "\n", "----"))
     assert capsys.readouterr() == ("", "")
+
+
+def test_files_on_a_line_lie_beside_the_list(tmp_path):
+    line = Entry("/shots/wood", ("--fix", "normal=up.png", "--fix", "roughness=0.5"), "line 3", str(tmp_path))
+    found = with_own_options(line, USUAL)
+    assert found.config.fix == (f"normal={tmp_path / 'up.png'}", "roughness=0.5")
+    with pytest.raises(ConfigError, match="up.png.*line 3"):
+        _check_files(found)
 
 
 def test_tags_have_commas_between_them():

@@ -167,5 +167,5 @@ def test_a_sheet_without_its_size_is_told_with_the_options_of_a_batch(tmp_path, 
     monkeypatch.setattr(from_sheet, "find_edges", lambda *_, **__: SimpleNamespace(corners=range(30)))
     with pytest.raises(CaptureError, match="30 tags in 0.*`--sheet 18`, to the command or on the line of a "
                                            "list") as error:
-        rectified(tmp_path, tmp_path / "out", None, None)
+        rectified(tmp_path, tmp_path / "out", None, None, 256)
     assert "mitsvbrdf capture" not in str(error.value)

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -161,13 +162,17 @@ def test_the_preview_is_seen_from_the_fitted_view(tmp_path):
 
 @pytest.mark.slow
 def test_pages_change_neither_maps_nor_figures(captures, tmp_path):
-    record = replace(asked(captures[0], QUICK, resolution=SIDE, views="0,1,2,3,4,5,6")).record
-    bare, full = (fit_capture(captures[0] / "capture.json", tmp_path / str(pages), record | {"pages": pages})
+    shots = shutil.copytree(captures[0], tmp_path / captures[0].name)
+    shutil.copy(shots / "target/00.png", shots / "target/00 copy.png")
+    record = replace(asked(shots, QUICK, resolution=SIDE, views="0,1,2,3,4,5,6")).record
+    bare, full = (fit_capture(shots / "capture.json", tmp_path / str(pages), record | {"pages": pages})
                   for pages in (False, True))
-    assert is_of(Fit.load(tmp_path / "True"), read_capture(captures[0]))  # as its folder, too
+    assert is_of(Fit.load(tmp_path / "True"), read_capture(shots))  # as its folder, too
     assert maps_of(tmp_path / "False") == maps_of(tmp_path / "True")
     for name in ("error", "burn_in", "warnings", "photos"):
         assert getattr(bare, name) == getattr(full, name), name
+    fault = bare.warnings[0]
+    assert "00 copy.png" in fault and fault in Fit.load(tmp_path / "True").record["capture"]["notes"]
     assert bare.photos == 7 and bare.held_out_error is None and full.held_out_error > 0
     written = {path.name for path in (tmp_path / "False").iterdir()}
     assert written == {"maps", "uncertainty", "fit.json", "preview.jpg"}

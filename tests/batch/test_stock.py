@@ -136,9 +136,9 @@ def test_what_cannot_be_read_is_passed_over_until_it_can(results, shots, monkeyp
 
 
 def test_the_same_photos_under_two_names_are_fitted_once_and_that_is_said(results, tmp_path):
-    one, other = (make_capture(tmp_path / part / "same", [b"the same"]) for part in "ab")
+    one, other = (make_capture(tmp_path / name, [b"the same"]) for name in ("wood", "wood-copy"))
     found = stock(results, one, other, one)
-    assert names(found) == ["same"] and found.notes == [
+    assert names(found) == ["wood"] and found.notes == [
         f"passed over: {other} has the photos and options of {one}"]
 
 

@@ -1,6 +1,7 @@
 """Records are kept as they come, and a run that stopped continues with the same ones."""
 
 import json
+from dataclasses import replace
 
 import pytest
 from helpers import ANALYTIC, GRID, photos_of
@@ -55,7 +56,7 @@ def test_a_run_that_was_stopped_anywhere_continues_with_the_same_records(task, t
         records[0]["errors"])
 
 
-@pytest.mark.parametrize("change", ["config", "version", "machine", "task", "seed"])
+@pytest.mark.parametrize("change", ["config", "version", "machine", "task", "content", "seed"])
 def test_what_shapes_a_fit_is_part_of_its_key(change, task, tmp_path, monkeypatch):
     path, done = tmp_path / "b.jsonl", []
     monkeypatch.setattr(module, "_fitted", lambda job, key, *_: done.append(job) or {
@@ -68,6 +69,8 @@ def test_what_shapes_a_fit_is_part_of_its_key(change, task, tmp_path, monkeypatc
         monkeypatch.setattr(module, "machine", lambda: {"cores": 1000})
     method = HybridConfig(smooth=0.123) if change == "config" else HybridConfig()
     other = known_material("builtin:tiles", 16, GRID, ANALYTIC) if change == "task" else task
+    if change == "content":  # other maps in a folder of the same name
+        other = replace(task, truth=make_material("inlay", 16, seed=1))
     again = measured(other, path, {"hybrid": method}, [1], [3 if change == "seed" else 0])
     assert len(done) == 2 and len(again) == 1 and len(read_records(path)) == 2
 

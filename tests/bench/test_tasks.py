@@ -39,7 +39,8 @@ def test_tasks_are_found_by_name(data):
                                              "wood"]
     (hide, wood) = found(data, ["hide"], ["wood"])
     assert hide.folder == data / "materials/hide" and hide.key["views"] == "cards-blue"
-    assert wood.key == {"kind": "capture", "name": "wood", "resolution": 16, "held_out": [4, 7]}
+    assert wood.key == {"kind": "capture", "name": "wood", "resolution": 16, "held_out": [4, 7],
+                        "content": wood.key["content"]} and wood.key["content"] != hide.key["content"]
     assert found(data, ["inlay"], ["none"], "builtin:grid")[0].key["views"] == "builtin:grid"
     for materials, captures in ((["none"], ["none"]), (["nowhere"], None), (["inlay"], ["nowhere"]),
                                 (["inlay", "builtin:inlay"], None)):

@@ -1,5 +1,6 @@
 """Photos of a calibrated capture are read one at a time, to the same bits as all at once; damage is named."""
 
+import shutil
 import tracemalloc
 
 import cv2
@@ -45,6 +46,9 @@ def test_photos_kept_together_have_a_limit(tmp_path, monkeypatch):
     with pytest.raises(CaptureError, match=f"megapixels together, .* in {tmp_path}; read them at a lower "
                                            "resolution"):
         read_capture(tmp_path, resolution=9)
+    monkeypatch.setattr(calibrated, "MOST_HELD", 7 * 7)
+    with pytest.raises(CaptureError, match="megapixels together"):
+        read_capture(tmp_path / "target/00.png")
 
 
 def test_a_damaged_photo_is_named_and_refused_when_strict(tmp_path):
@@ -52,11 +56,20 @@ def test_a_damaged_photo_is_named_and_refused_when_strict(tmp_path):
     save(tmp_path, photos(side=64), ".jpg")
     data = (tmp_path / "01.jpg").read_bytes()
     (tmp_path / "01.jpg").write_bytes(data[: 2 * len(data) // 3] + b"\xff\xd9")  # too little before its end
-    with pytest.warns(InputWarning, match="01.jpg is damaged"):
-        assert len(read_capture(tmp_path)) == 3
+    for _ in range(2):  # said each time, and kept, without the path
+        with pytest.warns(InputWarning, match="01.jpg is damaged"):
+            found = read_capture(tmp_path)
+        assert len(found) == 3 and [note.split(" (")[0] for note in found.notes] == ["01.jpg is damaged"]
     with pytest.raises(MitsvbrdfError, match="01.jpg is damaged"), strict():
         read_capture(tmp_path)
     (tmp_path / "plain").mkdir()
     (tmp_path / "01.jpg").rename(tmp_path / "plain/a.jpg")
     with pytest.warns(InputWarning, match="a.jpg is damaged"):
-        read_capture(tmp_path / "plain")
+        assert any(note.startswith("a.jpg is damaged") for note in read_capture(tmp_path / "plain").notes)
+
+
+def test_photos_without_a_number_are_named(tmp_path):
+    json_capture(tmp_path)
+    shutil.copy(tmp_path / "target/00.png", tmp_path / "target/08 (1).png")
+    with pytest.warns(InputWarning, match=r"photos that are not read: 08 \(1\).png"):
+        assert len(read_capture(tmp_path)) == 3

@@ -74,8 +74,9 @@ def test_the_own_files_of_svbrdf_diff_renderer_are_found(tmp_path):
     found = read_capture(tmp_path)
     assert same_views(found.views, expected.views) and torch.equal(found.photos, expected.photos)
     assert found.notes == ("the calibration is that of optim_latent_256.json",)
-    assert any("optim_latent_256.json states views of these photos" in note
-               for note in read_capture(tmp_path / "target").notes)
+    notes = read_capture(tmp_path / "target").notes
+    assert any(note.startswith("../optim_latent_256.json states views of these photos") for note in notes)
+    assert str(tmp_path) not in "".join(notes)
     (tmp_path / "optim_pixel_256_to_512.json").write_text(stated.replace("6.848", "7"))
     fails(tmp_path, "optim_latent_256.json, optim_pixel_256_to_512.json", "differ")
     assert same_views(read_capture(tmp_path / "optim_latent_256.json").views, expected.views)

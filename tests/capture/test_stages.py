@@ -237,7 +237,7 @@ def test_too_few_are_left(made):
 
 def test_tags_without_a_size_are_refused(made, plain):
     with pytest.raises(CaptureError, match="16 tags in IMG_0.jpg.*--sheet 18"):
-        refuse_tags([Photo.open(made[0] / "IMG_0.jpg")])
+        refuse_tags([Photo.open(plain / "IMG_0.jpg"), Photo.open(made[0] / "IMG_0.jpg")])
     with pytest.raises(CaptureError, match="16 tags"):  # fit raw/ too: they would pass for material
         read_capture(made[0])
     refuse_tags([Photo.open(plain / "IMG_0.jpg")])

@@ -7,6 +7,7 @@ import pytest
 from helpers.batches import make_capture, publish, result_of
 
 from mitsvbrdf import cli
+from mitsvbrdf.batch.asked import Stock
 from mitsvbrdf.batch.library import Library
 from mitsvbrdf.batch.records import Material
 from mitsvbrdf.batch.results import ResultStore
@@ -17,11 +18,22 @@ def test_the_log_of_a_failure_is_named_where_there_is_one(tmp_path, capsys):
     library = Library(ResultStore(str(tmp_path)))
     for letter, name, log in (("a", "loud", "what it printed"), ("b", "mute", "")):
         library.failed(Material(identity=letter * 64, name=name, source=f"/shots/{name}"), "blurred", log)
-    assert batch_command._ended(library, False, 0) == 1
+    assert batch_command._ended(library, Stock(failed=1), False) == 1
     loud, mute, last = capsys.readouterr().out.splitlines()
     log = re.fullmatch(r"failed: loud \(/shots/loud\): blurred; its log: (.*)", loud)[1]
     assert open(log).read() == "what it printed"
     assert mute == "failed: mute (/shots/mute): blurred" and last.startswith("0 done, 2 failed")
+
+
+def test_the_exit_code_is_that_of_what_was_asked_for(tmp_path):
+    library = Library(ResultStore(str(tmp_path)))
+    old, bad, left = (Material(identity=name * 64, name=name, source=f"/shots/{name}") for name in "abc")
+    library.failed(old, "blurred")
+    assert batch_command._ended(library, Stock(done=1), False) == 0
+    library.failed(bad, "blurred")
+    library.materials[left.folder] = left
+    assert batch_command._ended(library, Stock([bad]), True) == 1
+    assert batch_command._ended(library, Stock([bad, left]), True) == 130
 
 
 def test_a_ray_that_is_broken_is_told_and_harms_no_library(tmp_path, capsys, monkeypatch):

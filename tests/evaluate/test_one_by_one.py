@@ -1,16 +1,19 @@
 """Photos are rendered one by one where they are large; those that a fit saw are rendered with its views."""
 
+import json
 from dataclasses import replace
 
 import pytest
 import torch
 from helpers import ANALYTIC, GRID, MITSUBA, photos_of
 
+from mitsvbrdf import cli
 from mitsvbrdf.bench.run import fit as bench_fit
 from mitsvbrdf.bench.tasks import RealCapture
 from mitsvbrdf.evaluate.photos import Entry, compare, evaluate_fit
 from mitsvbrdf.fit import Fit, HierarchicalConfig
 from mitsvbrdf.material.made import make_material
+from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.measure import rerender
 from mitsvbrdf.synth import photograph
@@ -61,3 +64,12 @@ def test_photos_are_seen_as_each_fit_saw_them():
     assert theirs < 0.0013 and light > 0.004 and code == stated > 0.004
     whole = fits[0].but(renderer="analytic", svbrdf=maps, capture=None)
     assert evaluate_fit(whole, photos)["rerender_rmse"] == theirs
+
+
+def test_a_made_reference_has_the_size_of_the_maps(tmp_path):
+    # More texels than the default of 256: another grain would count as an error.
+    save_maps(make_material("tiles", 300), tmp_path / "maps")
+    found = tmp_path / "found.json"
+    assert cli.main(["evaluate", str(tmp_path / "maps"), "--reference", "builtin:tiles", "--json",
+                     str(found)]) == 0
+    assert max(json.loads(found.read_text()).values()) < 1e-6  # EXR keeps float32

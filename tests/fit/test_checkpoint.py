@@ -1,6 +1,7 @@
 """Checkpoints: one that is damaged, or is none of this fit, is one error."""
 
 import os
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from helpers import ANALYTIC
 
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import DirectConfig, FitTask, make_method
-from mitsvbrdf.fit.checkpoint import load_tensors, save_tensors
+from mitsvbrdf.fit.checkpoint import differing, fingerprints, load_tensors, save_tensors
 from mitsvbrdf.fit.loop import Loop
 
 SIDE = 16
@@ -55,6 +56,12 @@ def loop_of(capture):
     config = DirectConfig(iterations=2)
     return Loop(make_method(FitTask(capture, ANALYTIC, config, torch.full((SIDE, SIDE, 3), 0.2))), capture,
                 ANALYTIC, config)
+
+
+def test_another_variant_is_another_fit(leather):
+    told = [fingerprints(DirectConfig(), leather, SimpleNamespace(name="mitsuba", variant=variant), {})
+            for variant in ("llvm_ad_rgb", "cuda_ad_rgb")]
+    assert differing(*told) == ["--variant"]
 
 
 def test_a_state_of_another_fit_is_one_error(leather, tmp_path):

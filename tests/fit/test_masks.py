@@ -115,7 +115,7 @@ def test_a_guess_without_a_photo_that_is_masked_whole(shots):
 
 def test_another_mask_is_another_capture(shots):
     first = replace(shots[0], measured=None)
-    told = [fingerprints(HierarchicalConfig(), each, "mitsuba", {}) for each in (first, shots[0])]
+    told = [fingerprints(HierarchicalConfig(), each, ANALYTIC, {}) for each in (first, shots[0])]
     assert [told[0][name] != told[1][name] for name in told[0]] == [name[:6] == "photo " for name in told[0]]
 
 

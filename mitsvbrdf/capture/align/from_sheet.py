@@ -96,11 +96,11 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
 def refuse_tags(photos: Sequence[Photo],
                 how: str = "give that, for example `mitsvbrdf capture PHOTOS -o CAPTURE --sheet 18`") -> None:
     """Refuse photos of a sheet of unknown size: tags would pass for material. ``how``: the way to give it."""
-    count = len(find_edges(photos[0], Sheet(), patient=False).corners) if photos else 0
-    if count >= LEAST_TAGS:
-        raise CaptureError("--sheet CM for photos of a sheet of tags",
-                           f"{count} tags in {photos[0].name} and no size",
-                           f"measure the frame of tags from outer edge to outer edge and {how}")
+    for photo in photos:
+        if (count := len(find_edges(photo, Sheet(), patient=False).corners)) >= LEAST_TAGS:
+            raise CaptureError("--sheet CM for photos of a sheet of tags",
+                               f"{count} tags in {photo.name} and no size",
+                               f"measure the frame of tags from outer edge to outer edge and {how}")
 
 
 def _still(seen: dict[str, Edges]) -> bool:
