@@ -98,7 +98,7 @@ def test_what_the_free_stage_decides_is_said_with_its_figure(structure, without,
     task = FitTask(leather, MITSUBA, HierarchicalConfig())
     method = make_method(task)
     assert method.omitted == []  # nobody has looked yet
-    method.stages.judge(torch.tensor([structure, 0.01]))
+    method.stages.unexplained = torch.tensor([structure, 0.01])
     told = dict(method.omitted)
     assert set(told) == without <= set(dict(explained(task)[1]))
     assert all(f"{structure:g}" in why for what, why in told.items() if what != parts.CROSS_VALIDATION)
@@ -146,7 +146,7 @@ def test_explain_and_the_record_say_so(tmp_path, capsys):
 @pytest.mark.parametrize("hurried", [True, False])
 def test_what_time_was_too_short_for_is_said(hurried, stage, structure, said, leather):
     stages, again = Stages(multi_start=True), Stages(multi_start=True)
-    stages.judge(torch.tensor([structure, 0.01]))
+    stages.unexplained = torch.tensor([structure, 0.01])
     stages.enter(stage)
     for _ in range(1 if hurried else ROUNDS[stage]):
         stages.begin_round()

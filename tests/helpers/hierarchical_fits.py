@@ -3,6 +3,7 @@
 from helpers import MITSUBA
 from mitsvbrdf.fit import FitTask, HierarchicalConfig, make_method
 from mitsvbrdf.fit.hierarchical.stages import Stage
+from mitsvbrdf.fit.loop import Loop
 
 SIDE = 32
 
@@ -10,6 +11,28 @@ SIDE = 32
 def method_of(capture, **settings):
     config = HierarchicalConfig(**settings)
     return make_method(FitTask(capture, MITSUBA, config))
+
+
+def saving_loop(capture, config, folder):
+    """A loop that saves a checkpoint before each step; and stage and state before it, by iteration."""
+    loop = Loop(make_method(FitTask(capture, MITSUBA, config)), capture, MITSUBA, config)
+    step, before = loop.method.step, {}
+
+    def saving_step(progress):
+        loop.checkpoint = folder / f"{loop.iteration}.safetensors"
+        loop.save()
+        before[loop.iteration] = loop.method.stages.stage, loop.method.state()
+        return step(progress)
+
+    loop.method.step = saving_step
+    return loop, before
+
+
+def reached(stage, method):
+    """The method after its first round in a stage."""
+    while method.stages.stage != stage:
+        method.step(0.0)
+    return method
 
 
 def left_alone(capture, **settings):

@@ -47,10 +47,7 @@ def prediction_errors(photos: Observations, solver: TexelSolver, prior: TexelPri
 
     Args:
         photos: N photos; ``noises`` replace their noise, and the ratio of ``robust`` to it stays.
-        solver: of their texels.
-        prior: of the fit.
         starts: photo -> answer found without this photo; texels may leave it (:meth:`TexelPrior.free`).
-        noises: to try.
     """
     errors = torch.zeros(len(noises), len(starts))
     for column, (photo, start) in enumerate(starts.items()):

@@ -45,13 +45,8 @@ def searched(solver: TexelSolver, photos: Observations, prior: TexelPrior,
              x: Tensor) -> tuple[list[Tensor], Tensor]:
     """The answers of texels at each of :data:`WIDTHS`, and the best ones, U x R x R each.
 
-    Each answer is a start of the search at the next roughness.
-
-    Args:
-        solver: of the texels.
-        photos: their noise does not matter.
-        prior: of the unknowns, roughness among them.
-        x: the first start, U x R x R.
+    Each answer is a start of the search at the next roughness; the first start is ``x``, U x R x R. The noise
+    of the photos does not matter.
     """
     found = [x] * len(WIDTHS)
     best, least = x, torch.full_like(x[0], torch.inf, dtype=torch.float64)
@@ -67,14 +62,9 @@ def searched(solver: TexelSolver, photos: Observations, prior: TexelPrior,
 
 def evidence(solver: TexelSolver, photos: Observations, answer: TexelEstimate, shared: Tensor,
              answers: list[Tensor]) -> Evidence:
-    """What the photos say about S shared unknowns, around some answers.
+    """What the photos say about the unknowns at S positions ``shared``, around ``answers``, U x R x R each.
 
-    Args:
-        solver: of the texels.
-        photos: their noise matters.
-        answer: its prior holds for the own numbers of each texel.
-        shared: positions of the S shared unknowns.
-        answers: U x R x R each.
+    The prior of ``answer`` holds for the own numbers of each texel.
     """
     own = torch.tensor([u for u in range(len(answers[0])) if u not in shared.tolist()], dtype=torch.long)
     mean, precision = (t[own].flatten(1).T.double() for t in (answer.mean, answer.precision))

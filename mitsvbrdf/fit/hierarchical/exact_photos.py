@@ -21,13 +21,7 @@ from .texel_prior import TexelEstimate, TexelPrior
 
 
 class ExactPhotos:
-    """What is special about exact photos, and about photos whose kind is not known yet.
-
-    Args:
-        task: what to fit.
-        search: all unknowns.
-        seen: the photos.
-    """
+    """What is special about exact photos, and about photos whose kind is not known yet."""
 
     def __init__(self, task: FitTask[HierarchicalConfig], search: Search, seen: ObservationModel) -> None:
         self.task, self.search, self.seen = task, search, seen
@@ -57,12 +51,6 @@ class ExactPhotos:
                                       self.seen.observations)
         stages.matte = found is not None
         return found
-
-    def multi_start(self, scale: Scale, answer: TexelEstimate, variant: str) -> tuple[TexelEstimate, Tensor]:
-        """Learn the noise of the photos and the shared lobes; gives the answer and its mean cost."""
-        self.lobes, answer, cost = SharedLobes.searched(self.prior, scale, answer, self.seen,
-                                                        make_renderer("mitsuba", variant))
-        return answer, cost
 
     def at_full_size(self, answer: TexelEstimate, scale: Scale) -> tuple[Scale, TexelEstimate]:
         """An answer of a coarse scale enlarged."""

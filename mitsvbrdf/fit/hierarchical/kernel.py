@@ -48,14 +48,7 @@ class Kernel:
     ``photos`` (of the tile), ``texels`` (their places, row by row), ``side`` (of the material, in texels),
     ``views`` (cameras, lights, intensities), ``count`` (of the views), ``weight`` (1 / noise^2) and ``fixed``
     (maps of the tile), and where they are asked for ``scale`` (of the robust cost), ``weights`` (of the
-    tile's pixels) and ``curve`` (behind the response).
-
-    Args:
-        mi: the ``mitsuba`` module with the variant to use.
-        bsdf, unknowns: of a texel.
-        needs: what to compute.
-        texels: of a tile.
-        falloff, transfer: of views and photos.
+    tile's pixels) and ``curve`` (behind the response). A tile has ``texels`` texels.
     """
 
     def __init__(self, mi: ModuleType, bsdf: Bsdf, unknowns: Unknowns, needs: Needs, texels: int,

@@ -73,13 +73,9 @@ class Posterior(NamedTuple):
 
 
 def posterior(found: Evidence, near: int, mean: Tensor, variance: Tensor) -> Posterior:
-    """What M texels would be with lobes, by their photos around one answer.
+    """What M texels would be with lobes, by their photos around the answer ``near``.
 
-    Args:
-        found: of the photos.
-        near: which answer.
-        mean: of the lobe, or of each texel's lobe, (M x) S.
-        variance: the same.
+    Mean and variance are those of the lobe, or of each texel's lobe, (M x) S.
     """
     x, cost, slope, curve = (part[near] for part in found)
     off = mean - x
@@ -101,7 +97,6 @@ class Learner:
     Args:
         names: the map of each of the S numbers.
         member: how much of each basis material texels are, M x K.
-        photos: their number.
     """
 
     def __init__(self, names: list[str], member: Tensor, photos: int) -> None:
@@ -120,11 +115,7 @@ class Learner:
     def learned(self, found: Evidence, seed: int) -> Lobes:
         """Learn lobes from two starts, the texels' own answers and dielectrics; gives the likelier end.
 
-        Where noise hides a lobe, the texels' own answers are chance.
-
-        Args:
-            found: of the photos of all texels, at some roughnesses.
-            seed: of the candidates.
+        Where noise hides a lobe, the texels' own answers are chance. ``seed`` draws the candidates.
         """
         best, texels = found.cost.argmin(dim=0), found.cost.shape[1]
         some = torch.randperm(texels, generator=torch.Generator().manual_seed(seed))[:CANDIDATES]
@@ -154,12 +145,9 @@ class Learner:
         return lobes, float(torch.logsumexp(lobes.shares(self.member).log() - cost / 2, dim=1).sum())
 
     def moved(self, lobes: Lobes, found: Evidence, lobe: Tensor) -> Lobes:
-        """The lobes, each moved to the texels that have it.
+        """The lobes, each moved to the texels that have it, by the evidence around the texels' answers.
 
-        Args:
-            lobes: so far.
-            found: of the photos, around the answer of each texel.
-            lobe: the lobe of each of the M texels.
+        ``lobe`` is which lobe each of the M texels has.
         """
         has = torch.nn.functional.one_hot(lobe, len(lobes.mean)).double()
         for _ in range(ANEW):

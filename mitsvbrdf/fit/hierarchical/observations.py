@@ -28,14 +28,7 @@ TAIL_FLOOR = 0.03  # least weight of a pixel
 
 @dataclass(frozen=True, eq=False)
 class ObservationModel:
-    """The photos in the present round.
-
-    Args:
-        stages: where the fit stands.
-        corrections: where camera and flash stood.
-        config: settings.
-        budget: learns how long steps take.
-    """
+    """The photos in the present round."""
 
     stages: Stages
     corrections: ViewCorrections
@@ -82,10 +75,8 @@ def trust(views: Views, roughness: Tensor, reach: float, rows: slice = ALL) -> T
     alpha)^2) of the angle between half vector and flat normal.
 
     Args:
-        views: N views.
         roughness: R x R.
         reach: in lobe widths.
-        rows: of the texels.
     """
     sine2 = geometry(views, len(roughness), rows)[1][..., :2].square().sum(-1)
     return (1 / (1 + sine2 / (1 - sine2) / (reach * roughness[rows]**2) ** 2)).clamp_min(TAIL_FLOOR)
@@ -100,7 +91,6 @@ def without_burn_in(planes: Tensor, views: Views, trusted: Tensor) -> Tensor:
 
     Args:
         planes: S x R x R.
-        views: N views.
         trusted: the largest :func:`trust` over the photos, R x R.
     """
     angle, weight, found = coverage_angle(views, planes.shape[-1]).flatten(), trusted.flatten(), []

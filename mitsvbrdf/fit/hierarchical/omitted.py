@@ -11,28 +11,21 @@ TIED, MULTI_START = "tied stage", "multi-start"
 VIEWS, CROSS_VALIDATION = "view refinement", "cross-validation"
 LOBE = "search for a specular lobe"
 FOLLOW = "the photos follow the model"
+MATTE = f"no block of texels needs a lobe, and one of {WEAK:g} would show"
 
 
 def decided_later(task: FitTask[HierarchicalConfig]) -> list[Omitted]:
     """What a fit may omit while it runs; ``why`` says on which condition."""
-    exact, matte = task.config.exact, f"no block of texels needs a lobe, and one of {WEAK:g} would show"
-    if exact is not None:
-        if not exact or not may_be_omitted(task):
-            return []
-        starts = [Omitted(MULTI_START, "without a lobe")] if _may_start_anew(task) else []
-        return [Omitted(LOBE, f"if {matte}"), *starts]
     below = f"a free fit at 64 px leaves errors whose structure is below {EXACT:g}: {FOLLOW}"
-    found = [Omitted(TIED, f"if {below}")]
-    if may_be_omitted(task):
-        found.append(Omitted(LOBE, f"if {below}; {matte}"))
-    if _may_start_anew(task):
-        found.append(Omitted(MULTI_START, f"unless {below}" + (", and without a lobe" if len(found) > 1
-                                                               else "")))
-    if task.refined == "unless exact":
-        found.append(Omitted(VIEWS, f"if {below}, and so do the stated views"))
-    if _may_cross_validate(task):
-        found.append(Omitted(CROSS_VALIDATION, f"if {below}, or where time is short"))
-    return found
+    stated, lobe, anew = task.config.exact, may_be_omitted(task), _may_start_anew(task)
+    if stated is not None:
+        told = [(lobe, LOBE, f"if {MATTE}"), (lobe and anew, MULTI_START, "without a lobe")] if stated else []
+    else:
+        told = [(True, TIED, f"if {below}"), (lobe, LOBE, f"if {below}; {MATTE}"),
+                (anew, MULTI_START, f"unless {below}" + (", and without a lobe" if lobe else "")),
+                (task.refined == "unless exact", VIEWS, f"if {below}, and so do the stated views"),
+                (_may_cross_validate(task), CROSS_VALIDATION, f"if {below}, or where time is short")]
+    return [Omitted(what, why) for holds, what, why in told if holds]
 
 
 def omitted_stages(task: FitTask[HierarchicalConfig], stages: Stages | None = None,
@@ -40,7 +33,6 @@ def omitted_stages(task: FitTask[HierarchicalConfig], stages: Stages | None = No
     """What ``hierarchical`` omits, as far as it is known.
 
     Args:
-        task: of the fit.
         stages: as it stands; None before the fit.
         short: whether the views were refined less often than they should be, for lack of time.
     """
@@ -53,8 +45,7 @@ def omitted_stages(task: FitTask[HierarchicalConfig], stages: Stages | None = No
     if exact:
         items.append((TIED, f"{FOLLOW}: {why}"))
     if stages is not None and stages.matte:
-        items.append((LOBE, f"the material is matte: no block of texels needs a lobe, and one of {WEAK:g} "
-                            "would show"))
+        items.append((LOBE, f"the material is matte: {MATTE}"))
         items.append((MULTI_START, "without a lobe there is one start"))
     elif not _may_start_anew(task):
         items.append((MULTI_START, "not asked for" if not config.multi_start else "roughness held fixed"))

@@ -22,12 +22,7 @@ from .time_budget import LAST_STEPS, ROUND_STEPS, STEPS
 
 
 class RealPhotos:
-    """What is special about photos of a phone.
-
-    Args:
-        search: all unknowns.
-        seen: the photos.
-    """
+    """What is special about photos of a phone."""
 
     def __init__(self, search: Search, seen: ObservationModel) -> None:
         (self.scales, self.prior), self.seen = search, seen
@@ -80,7 +75,7 @@ class RealPhotos:
         unknown = self.seen.config.noise is None
         hurried = unknown and not self._in_time(steps - len(held_out) * TURN)
         if unknown and not hurried:
-            self.seen.stages.believe(self._noise(tied, scale, held_out))
+            self.seen.stages.detail = torch.tensor(self._noise(tied, scale, held_out))
         return scale, tied, hurried
 
     def seen_through(self, capture: Capture) -> Capture:
@@ -130,8 +125,6 @@ class RealPhotos:
         time are omitted.
 
         Args:
-            answer: with tied texels, or free ones.
-            scale: of the answer.
             more: steps to take if the answer was closed before.
 
         Returns:

@@ -34,13 +34,7 @@ def curved(scale: Scale, answer: TexelEstimate, observed: Callable[[Scale, Texel
            prior: TexelPrior, next_prior: Sharing, renderer: Renderer) -> tuple[Scale, TexelEstimate] | None:
     """The scale with the curve that explains its photos best, and the answer; None if that saves little.
 
-    Args:
-        scale: of the photos, without a curve.
-        answer: of its texels.
-        observed: gives the photos of a round.
-        prior: of the texels.
-        next_prior: gives the answer with the prior of the next round.
-        renderer: of the material.
+    The photos of ``scale`` have no curve yet; ``observed`` gives the photos of a round.
     """
     plain, solver = scale.capture.transfer, scale.solver
     first = stepped(solver, observed(scale, answer), answer, prior, STEPS)

@@ -14,6 +14,7 @@ learned from all of them (:mod:`.shared_lobes`), or have no lobe where none is n
 
 from dataclasses import replace
 
+import torch
 from torch import Tensor
 
 from ...capture import Capture
@@ -33,7 +34,7 @@ from .omitted import omitted_stages
 from .real_photos import RealPhotos
 from .scales import Scales
 from .scoring import Scoring
-from .shared_lobes import TRIED
+from .shared_lobes import TRIED, SharedLobes
 from .specular_test import Search
 from .stages import EXACT, MOVED, NOISE, ROUNDS, Stage, Stages, unexplained
 from .starts import other_starts
@@ -66,7 +67,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         search = Search.of(Scales(capture, task.guess, self.fixed, config, self.variant))
         self.scale = search.scales.of(Stage.ALONE)
         self.stages = Stages(config.multi_start and "roughness" in search.prior.unknowns.shapes, config.exact)
-        self.stages.believe(config.noise or NOISE)
+        self.stages.detail = torch.tensor(config.noise or NOISE)
         self.budget = TimeBudget(config.budget, self.stages, capture.resolution**2)
         self.seen = ObservationModel(self.stages, self.corrections, config, self.budget)
         self.exact, self.real = ExactPhotos(task, search, self.seen), RealPhotos(search, self.seen)
@@ -107,19 +108,20 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.measured_every = 1 if stages.exact and stages.stage == Stage.FINE else type(self).measured_every
         stages.begin_round()
         if stages.stage == Stage.MULTI_START and not self.exact.lobes:
-            self.answer, cost = self.exact.multi_start(self.scale, self.answer, self.variant)
+            self.exact.lobes, self.answer, cost = SharedLobes.searched(
+                self.prior, self.scale, self.answer, self.seen, make_renderer("mitsuba", self.variant))
         else:
             cost = self.solve()
         self._move_views()
         self.answer = self.photos.next_prior(self.scale, self.seen.observations(self.scale, self.answer),
                                              self.answer)
         if self.cut:
-            stages.repeat_round()
+            stages.rounds -= 1
         return {"cost": float(cost)}
 
     def _begin_next_stage(self) -> None:
         if self.stages.stage == Stage.ALONE:
-            self.stages.judge(self.unexplained())
+            self.stages.unexplained = self.unexplained()
             if found := self.exact.omit_lobe(self.answer):
                 self.scale, self.answer = found
         in_time = self.budget.in_time(SEARCH_STEPS * self.scale.texels, beside=STEPS)

@@ -29,7 +29,6 @@ class Scale:
     Args:
         capture: the photos, N x R x R.
         guess: guessed diffuse map, R x R x 3.
-        solver: of R x R texels.
         basis: appearance of the basis materials, K x 5.
         width: how alike texels must look to share.
         free: whether texels may leave the values of their look-alikes.

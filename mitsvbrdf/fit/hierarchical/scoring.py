@@ -29,15 +29,7 @@ Scored = tuple[TexelEstimate, Tensor]  # an answer, and what each texel costs, R
 
 @dataclass(frozen=True, eq=False)
 class Scoring:
-    """Costs of the texels of a round.
-
-    Args:
-        scale: of the texels.
-        photos: as the round sees them.
-        prior: of the texels.
-        lobes: that they share, if they do.
-        budget: learns how long steps take.
-    """
+    """Costs of the texels of a round, which may share lobes."""
 
     scale: Scale
     photos: Observations
@@ -51,7 +43,6 @@ class Scoring:
 
         Args:
             answer: all texels; it is written into, and so is the cost.
-            steps: of Levenberg-Marquardt.
             start: gives the start of some rows of the answer.
             cost: of the answer, R x R: texels stay as they are where the steps would not lower it.
         """

@@ -24,9 +24,7 @@ def sensor_noise(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Rende
 
     Args:
         svbrdf: the material that explains the photos best, R x R.
-        views: of the photos.
         capture: the photos, N x R x R.
-        renderer: of the material.
         unknowns: their number in each texel; they use up that many of its 3 N values.
     """
     with torch.no_grad():

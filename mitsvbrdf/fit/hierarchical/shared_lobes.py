@@ -30,14 +30,7 @@ FAR_MORE = 30.0  # largest log ratio by which a lobe counts as likelier than the
 
 @dataclass(frozen=True, eq=False)
 class SharedLobes:
-    """A start, a prior and a cost for the texels of a scale.
-
-    Args:
-        lobes: that they share.
-        prior: of the texels, whose normals may be steep.
-        relief: how steep the texels are.
-        scale: of the texels.
-    """
+    """A start, a prior and a cost for the texels of a scale, whose normals may be steep."""
 
     lobes: Lobes
     prior: TexelPrior
@@ -166,7 +159,6 @@ class SharedLobes:
         Args:
             answer: some rows of texels, with the likeliest lobes.
             cost: -2 log of their likelihoods.
-            rows: the position of these rows.
             scored: gives such an answer and its costs from a start.
         """
         x, total, had = answer.x, torch.ones_like(cost), [answer.lobe]

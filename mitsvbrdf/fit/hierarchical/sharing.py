@@ -73,7 +73,6 @@ def basis_materials(appearance: Tensor, count: int, seed: int) -> Tensor:
     Args:
         appearance: of M texels, M x 5 (:func:`appearance_of`).
         count: K; fewer where there are fewer texels.
-        seed: of k-means.
     """
     import cv2
 

@@ -39,7 +39,6 @@ class Observations:
 
     Args:
         photos: N x R x R x 3, display values, or as a capture keeps them (:func:`mitsvbrdf.color.shown`).
-        views: N views.
         transfer: how display values encode light.
         noise: standard deviation of a display value.
         robust: s of the pseudo-Huber rho(e) = 2 s^2 (sqrt(1 + e^2 / s^2) - 1), in display values (Charbonnier
@@ -72,14 +71,11 @@ class Observations:
 
     def of_rows(self, rows: slice) -> Observations:
         """Some rows of the pixels."""
-        weights = None if self.weights is None else self.weights[:, rows]
-        return replace(self, photos=self.photos[:, rows], weights=weights, texels=self.places(rows))
+        return replace(self._of(lambda planes: planes[:, rows]), texels=self.places(rows))
 
     def of_texels(self, texels: Tensor) -> Observations:
         """The pixels that show some texels of the material; ``texels`` is a square of places."""
-        photos, weights = self.photos.flatten(1, 2)[:, texels], self.weights
-        weights = None if weights is None else weights.flatten(1)[:, texels]
-        return replace(self, photos=photos, weights=weights, texels=texels)
+        return replace(self._of(lambda planes: planes.flatten(1, 2)[:, texels]), texels=texels)
 
     def read(self) -> tuple[Tensor, Tensor | None]:
         """Display values and weights of the pixels, float32."""
@@ -92,9 +88,11 @@ class Observations:
 
     def pick(self, rows: Sequence[int]) -> Observations:
         """The photos of these rows."""
-        weights = None if self.weights is None else self.weights[rows].contiguous()
-        return replace(self, photos=self.photos[rows].contiguous(), views=self.views.pick(rows),
-                       weights=weights)
+        return replace(self._of(lambda planes: planes[rows].contiguous()), views=self.views.pick(rows))
+
+    def _of(self, part: Callable[[Tensor], Tensor]) -> Observations:
+        weights = None if self.weights is None else part(self.weights)
+        return replace(self, photos=part(self.photos), weights=weights)
 
     def without(self, row: int) -> Observations:
         """All photos but one."""
@@ -127,7 +125,6 @@ class TexelSolver:
     unknowns belong to each map, and where they lie; U is their number.
 
     Args:
-        bsdf: the parameter set.
         fixed: maps that are known, name -> R x R x C, linear.
         grey_specular: one specular number a texel instead of three.
         variant: ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
@@ -185,11 +182,9 @@ class TexelSolver:
         1/2. Steps to a cost that is not finite are refused.
 
         Args:
-            observations: the photos.
             x: where to start, U x R x R, within the bounds ``low`` and ``high`` (U numbers each).
             damping: R x R, relative to the diagonal of the normal equations; 0.01 is a fair start.
             mean, precision: of the prior (1 / variance), U x R x R; 0 for none.
-            iterations: steps to take.
         """
         with using_mitsuba(self.variant) as mi:
             bounds = *([opaque(mi, v) for v in bound] for bound in (low, high)), opaque(mi, iterations)

@@ -94,10 +94,8 @@ def explained_without(
 
     Args:
         answer: of the first stage, with lobes.
-        search: the search that found the answer.
         lobeless: of :func:`without_lobe`.
         noise: standard deviation of what the answer leaves unexplained, in display values.
-        observations: the photos of a scale.
     """
     x, own = answer.x, torch.empty(0)
     sizes = {search.scales.of(stage).capture.resolution: stage for stage in (Stage.FINE, Stage.ALONE)}
@@ -115,7 +113,8 @@ def explained_without(
             return None
         if stage == Stage.ALONE and shown_if_weak(other, photos, lobeless.prior, own, left, values):
             return None
-        _, less = least_errors(scale.solver, photos, search.prior, [x, *_widths(x, search.prior)], ROUNDS)
+        wide = [x.index_fill(0, search.prior.unknowns.of("roughness"), width) for width in STARTS]
+        _, less = least_errors(scale.solver, photos, search.prior, [x, *wide], ROUNDS)
         if needed(left, less, values, *counts):
             return None
     return lobeless.scales.of(Stage.FINE), lobeless.prior.vague(own)
@@ -126,9 +125,7 @@ def least_errors(solver: TexelSolver, photos: Observations, prior: TexelPrior, s
     """The unknowns U x R x R that explain each texel's photos best, and their squared errors R x R.
 
     Args:
-        solver: of the texels.
         photos: their noise does not matter much.
-        prior: of the unknowns.
         starts: to try, U x R x R each.
         rounds: in which texels also try :func:`~mitsvbrdf.fit.hierarchical.starts.other_starts`.
         steps: from each start.
@@ -148,11 +145,6 @@ def least_errors(solver: TexelSolver, photos: Observations, prior: TexelPrior, s
         for other in other_starts(prior, turn + later):
             x, errors = tried(other(answer._replace(x=x), slice(0, len(x[0]))), steps // 2)
     return x, errors.double() * photos.noise**2
-
-
-def _widths(x: Tensor, prior: TexelPrior) -> list[Tensor]:
-    at = torch.tensor([name == "roughness" for name in prior.unknowns.names])[:, None, None]
-    return [torch.where(at, width, x) for width in STARTS]
 
 
 def blocks(*planes: Tensor) -> Iterator[list[Tensor]]:
@@ -198,8 +190,6 @@ def shown_if_weak(scale: Scale, photos: Observations, prior: TexelPrior, x: Tens
 
     Args:
         scale: without a lobe.
-        photos: of the scale.
-        prior: of the unknowns.
         x: the unknowns that explain the photos best, U x R x R.
         left: their squared errors, R x R.
         values: how many values of each texel's photos are not clipped.

@@ -59,8 +59,8 @@ class Stages:
         self.multi_start, self.stated = multi_start, stated
         self.stage, self.rounds = Stage.ALONE, 0
         self.noise = torch.tensor(NOISE)
-        self.unexplained = torch.full((2,), torch.nan)
-        self.detail = torch.tensor(NOISE)
+        self.unexplained = torch.full((2,), torch.nan)  # what ALONE left (:func:`unexplained`), once known
+        self.detail = torch.tensor(NOISE)  # noise of photos of a phone at full size
         self.sensor = torch.full((3, STEPS), torch.nan)  # brightness, noise as seen last, the least ever seen
         self.hurried = False
         self.last = ROUNDS[Stage.FINE]  # last round of FINE, for real photos
@@ -70,7 +70,7 @@ class Stages:
 
     @property
     def known(self) -> bool:
-        """Whether :meth:`judge` has decided which kind of photos these are."""
+        """Whether :attr:`unexplained` tells which kind of photos these are."""
         return not bool(self.unexplained[0].isnan())
 
     @property
@@ -127,7 +127,7 @@ class Stages:
         return self.stage != Stage.FINE and (late or self.finished)
 
     def next(self, in_time: bool = True) -> Stage:
-        """The stage after this one; after ALONE, :meth:`judge` comes first.
+        """The stage after this one; after ALONE, :attr:`unexplained` must be known.
 
         Args:
             in_time: whether a search at many roughnesses can end in time.
@@ -138,16 +138,8 @@ class Stages:
 
     @property
     def may_search(self) -> bool:
-        """Whether a search at many roughnesses comes next, if it can end in time; after :meth:`judge`."""
+        """Whether a search at many roughnesses comes next, if it can end in time."""
         return self.stage == Stage.ALONE and self.multi_start and self.exact and not self.matte
-
-    def judge(self, left: Tensor) -> None:
-        """Learn what ALONE left unexplained (:func:`unexplained`), and so which kind of photos these are."""
-        self.unexplained = left
-
-    def believe(self, noise: float) -> None:
-        """Learn the noise of photos of a phone at full size."""
-        self.detail = torch.tensor(noise)
 
     def enter(self, stage: Stage, hurried: bool = False) -> None:
         """Begin a stage, in a hurry or not."""
@@ -168,10 +160,6 @@ class Stages:
         """Count another round, and set its noise."""
         self.noise = torch.tensor(self._next_noise())
         self.rounds += 1
-
-    def repeat_round(self) -> None:
-        """Uncount the latest round, which was cut short."""
-        self.rounds -= 1
 
     def _next_noise(self) -> float:
         stage, done = self.stage, self.rounds

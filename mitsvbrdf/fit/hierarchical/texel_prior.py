@@ -97,12 +97,7 @@ class TexelEstimate(NamedTuple):
 
 
 class TexelPrior:
-    """Priors of texels: vague ones, those that look-alikes give, and those around a tied answer.
-
-    Args:
-        unknowns: of a texel.
-        config: how strong the ties are.
-    """
+    """Priors of texels: vague ones, those that look-alikes give, and those around a tied answer."""
 
     def __init__(self, unknowns: Unknowns, config: HierarchicalConfig) -> None:
         self.unknowns, self.config = unknowns, config
@@ -149,10 +144,7 @@ class TexelPrior:
         """Look-alikes set the prior of specular and roughness; the present relief sets that of normals.
 
         Args:
-            answer: with the prior so far.
             variance: of the unknowns, given photos and prior, U x R x R.
-            scale: of the texels.
-            photos: their number.
             tied: whether the photos are those of a phone.
             corrected: corrects the means of the shared unknowns, S x R x R.
         """

@@ -30,9 +30,7 @@ class TimeBudget:
 
     Args:
         budget: seconds that the run may take; None for no limit.
-        stages: where the run stands.
         full: texels at full size.
-        clock: tells seconds.
     """
 
     def __init__(self, budget: float | None, stages: Stages, full: int,
@@ -67,7 +65,6 @@ class TimeBudget:
         Args:
             work: texels times steps of the solver, or times renderings from all views. Of a kind that was not
                 done yet, a unit takes as long as one of the solver.
-            kind: of work.
             beside: further steps of the solver at full size.
         """
         solver = self.rates.get("solver", 0.0)

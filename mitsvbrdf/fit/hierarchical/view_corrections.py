@@ -38,6 +38,8 @@ class ViewCorrections:
 
     def __init__(self, capture: Capture, refined: Refined, fits_offset: bool) -> None:
         self.stated, self.refined, self.fits_offset = capture.views, refined, fits_offset
+        self.steps = FEW_STEPS if refined == "always" else ITERATIONS
+        self.work = self.steps * 2 * CHANGE.size  # most renderings of all views in a refinement: two a slope
         priors = PRIORS[capture.calibration]
         self.usual = priors if fits_offset else replace(priors, common_flash=(0.0, 0.0))
         self.off = torch.tensor([priors.camera[2], priors.exposure], dtype=torch.float64)
@@ -69,15 +71,6 @@ class ViewCorrections:
         """Remember whether a stage that ends after ``rounds`` rounds has missed some of its refinements."""
         self.begun(not self.may_move(tied) or rounds >= max(REFINED.get(stage, (0,))))
 
-    @property
-    def _steps(self) -> int:
-        return FEW_STEPS if self.refined == "always" else ITERATIONS
-
-    @property
-    def work(self) -> int:
-        """Largest number of renderings of all views in a refinement: two for each slope."""
-        return self._steps * 2 * CHANGE.size
-
     def level(self, slope: Tensor) -> None:
         """Move the flash of all photos so that the patch as a whole becomes flat.
 
@@ -97,7 +90,7 @@ class ViewCorrections:
     def refine(self, svbrdf: SVBRDF, capture: Capture, renderer: Renderer | None = None) -> None:
         """Refine camera and flash with the maps so far; stated views start at the earlier changes."""
         start = None if self.refined == "always" else self.change
-        found = refine_views(svbrdf, capture.views, capture, self.priors, self._steps, start, renderer)
+        found = refine_views(svbrdf, capture.views, capture, self.priors, self.steps, start, renderer)
         self.change, self.deviation = found.change, found.deviation
         self.flash_deviation = found.common_covariance.diagonal().sqrt()
         if self.refined == "unless exact":

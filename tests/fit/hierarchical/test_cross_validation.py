@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from helpers import TWIN, photos_of
-from helpers.hierarchical_fits import SIDE, method_of
+from helpers.hierarchical_fits import SIDE, method_of, reached
 
 from mitsvbrdf import color
 from mitsvbrdf.fit.hierarchical.cross_validation import (
@@ -81,22 +81,14 @@ def test_the_errors_are_of_the_photos_left_out(case):
     assert torch.equal(some, every[:, [2, 7]]) and every.unique().numel() == 9
 
 
-def detail_of(capture):
-    """The noise that a fit of these photos, taken for a phone's, finds."""
-    method = method_of(capture)
-    while method.stages.stage != Stage.FINE:
-        method.step(0.0)
-    return method, float(method.stages.detail)
-
-
 @pytest.mark.slow
 def test_detail_that_other_photos_confirm_is_believed_and_other_detail_is_not(two_stages, phone):
     clean = photos_of(make_material("leather", SIDE))
     glitter = 0.25 * torch.randn(clean.photos.shape[:3], generator=torch.Generator().manual_seed(0))[...,
                                                                                                      None]
     spoilt = replace(clean, photos=(clean.photos * (1 + glitter)).clamp(0, 1))
-    assert detail_of(clean)[1] == pytest.approx(NOISES[0])
-    assert detail_of(spoilt)[1] > NOISES[1]
+    found = [float(reached(Stage.FINE, method_of(shots)).stages.detail) for shots in (clean, spoilt)]
+    assert found[0] == pytest.approx(NOISES[0]) and found[1] > NOISES[1]
 
 
 @pytest.mark.slow
@@ -104,8 +96,7 @@ def test_a_noise_that_was_given_or_cannot_be_found(two_stages, phone, capture):
     given = method_of(capture, noise=0.11)
     few = method_of(capture.pick(list(range(FEWEST - 1))))
     for method, noise in ((given, 0.11), (few, NOISE)):
-        while method.stages.stage != Stage.FINE:
-            method.step(0.0)
+        reached(Stage.FINE, method)
         assert float(method.stages.detail) == pytest.approx(noise)
         method.step(0.0)
         assert float(method.stages.noise) == pytest.approx(noise)

@@ -103,15 +103,9 @@ def test_a_metal_must_be_shown(shown, level):
     assert abs(float(mean) - level) < 0.1
 
 
-@pytest.fixture(scope="module")
-def alone():
-    """A fit after its free stage, of photos of a made material; and the truth."""
+def test_evidence_by_solving_again():
     truth = make_material("inlay", 16)
-    return left_alone(photos_of(truth)), truth
-
-
-def test_evidence_by_solving_again(alone):
-    method, truth = alone
+    method = left_alone(photos_of(truth))
     scale, prior = method.scale, method.prior
     photos = replace(method.seen.observations(scale, method.answer), robust=None, noise=0.01)
     x = prior.bounded(scale.solver.numbers(truth)).contiguous()

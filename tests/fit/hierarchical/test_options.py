@@ -1,7 +1,7 @@
 """All kinds of photos and options."""
 
-import dataclasses
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -40,24 +40,20 @@ def test_any_size(side, kind, monkeypatch):
     assert map_rmse(result.svbrdf, truth)["mean"] < (0.02 if kind == "exact" else 0.05)
 
 
-def black(shots):
-    return dataclasses.replace(shots, photos=torch.zeros_like(shots.photos))
-
-
 PHOTOS = {"one": lambda shots: shots.pick([0]), "two": lambda shots: shots.pick([0, 3]),
     "nine identical": lambda shots: Capture(shots.photos[:1].expand(9, -1, -1, -1).contiguous(), shots.views),
     "one photo nine times": lambda shots: Capture(shots.photos[[0] * 9], shots.views.pick([0] * 9)),
     "uncalibrated": lambda shots: Capture(shots.photos, Views.of([[0.0, 0.0, 2.0]] * 9,
                                                                  intensity=4 * math.pi), calibration="none"),
-    "black": black, "one black": lambda shots: dataclasses.replace(
+    "black": lambda shots: replace(shots, photos=torch.zeros_like(shots.photos)),
+    "one black": lambda shots: replace(
         shots, photos=torch.cat((torch.zeros_like(shots.photos[:1]), shots.photos[1:]))),
-    "white": lambda shots: dataclasses.replace(shots, photos=torch.ones_like(shots.photos)),
-    "grey": lambda shots: dataclasses.replace(shots, photos=torch.full_like(shots.photos, 0.5)),
-    "noise": lambda shots: dataclasses.replace(
+    "white": lambda shots: replace(shots, photos=torch.ones_like(shots.photos)),
+    "grey": lambda shots: replace(shots, photos=torch.full_like(shots.photos, 0.5)),
+    "noise": lambda shots: replace(
         shots, photos=torch.rand(shots.photos.shape, generator=torch.Generator().manual_seed(0))),
-    "paper's light": lambda shots: dataclasses.replace(shots, views=dataclasses.replace(shots.views,
-                                                                                        falloff="none")),
-    "srgb, centimetres": lambda shots: dataclasses.replace(shots, transfer="srgb", views=Views.of(
+    "paper's light": lambda shots: replace(shots, views=replace(shots.views, falloff="none")),
+    "srgb, centimetres": lambda shots: replace(shots, transfer="srgb", views=Views.of(
         shots.views.camera * 20, intensity=shots.views.intensity * 400, size=20.0)),}
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 from helpers import photos_of
-from helpers.hierarchical_fits import method_of
+from helpers.hierarchical_fits import method_of, reached
 
 from mitsvbrdf.fit.hierarchical import kernel, rounds
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
@@ -33,9 +33,7 @@ def test_some_texels_are_solved_as_among_all(monkeypatch):
 @pytest.fixture(scope="module")
 def fine():
     """A fit of exact photos in its last stage."""
-    method = method_of(photos_of(make_material("inlay", SIDE)), exact=True)
-    while method.stages.stage != Stage.FINE:
-        method.step(0.0)
+    method = reached(Stage.FINE, method_of(photos_of(make_material("inlay", SIDE)), exact=True))
     method.step(0.0)
     return method
 

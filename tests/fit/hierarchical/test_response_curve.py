@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 from helpers import ANALYTIC, GRID, MITSUBA, TWIN, photos_of
-from helpers.hierarchical_fits import method_of
+from helpers.hierarchical_fits import method_of, reached
 from matplotlib.image import imread
 
 from mitsvbrdf import color
@@ -168,9 +168,7 @@ def test_the_game_of_gan_sees_through_the_curve_of_its_first_solver(bent, monkey
 
 @pytest.mark.slow
 def test_a_resumed_fit_has_the_curve(bent):
-    method, again = (method_of(bent[0], exact=False) for _ in range(2))
-    while method.stages.stage != Stage.FINE:
-        method.step(0.0)
+    method, again = reached(Stage.FINE, method_of(bent[0], exact=False)), method_of(bent[0], exact=False)
     assert method.capture.transfer == bent[1].transfer
     again.load_state(method.state())
     assert again.capture.transfer == again.scale.capture.transfer == method.capture.transfer

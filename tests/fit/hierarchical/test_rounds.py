@@ -6,15 +6,13 @@ import numpy as np
 import pytest
 import torch
 from helpers import MITSUBA, TWIN
-from helpers.hierarchical_fits import left_alone, method_of
+from helpers.hierarchical_fits import left_alone, method_of, saving_loop
 
 from mitsvbrdf import color
-from mitsvbrdf.fit import FitTask, HierarchicalConfig, fit_svbrdf, make_method
-from mitsvbrdf.fit.checkpoint import load_tensors
-from mitsvbrdf.fit.hierarchical import Hierarchical, scales, stages
+from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf
+from mitsvbrdf.fit.hierarchical import scales, stages
 from mitsvbrdf.fit.hierarchical.scoring import Scoring
 from mitsvbrdf.fit.hierarchical.stages import Stage
-from mitsvbrdf.fit.loop import Loop
 from mitsvbrdf.material.maps import CHANNELS
 
 
@@ -88,6 +86,7 @@ def test_photos_whose_side_is_no_multiple_of_the_coarse_one(phone, capture, monk
     svbrdf, _, seen = method.glimpse()
     assert method.stages.stage == Stage.TOGETHER and method.preview().resolution == 12
     assert svbrdf.resolution == seen.resolution == 16
+    assert torch.equal(seen.photos, capture.photos[:, 1::2, 1::2])  # none is an average
 
 
 @pytest.mark.slow
@@ -97,18 +96,10 @@ def test_resuming_is_bit_equal_at_every_round(kind, two_stages, capture, tmp_pat
         monkeypatch.setattr(stages, "EXACT", 0.0)
     config = HierarchicalConfig(iterations=14)
     whole = fit_svbrdf(capture, MITSUBA, config)
-    loop = Loop(make_method(FitTask(capture, MITSUBA, config, whole.guess)), capture, MITSUBA, config)
-    step, passed = loop.method.step, []
-
-    def saving_step(progress):
-        loop.checkpoint = tmp_path / f"{loop.iteration}.safetensors"
-        loop.save()
-        passed.append(loop.method.stages.stage)
-        return step(progress)
-
-    loop.method.step = saving_step
+    loop, passed = saving_loop(capture, config, tmp_path)
     loop.run()
-    assert set(passed) == {Stage.ALONE, Stage.MULTI_START if kind == "exact" else Stage.TOGETHER, Stage.FINE}
+    coarse = Stage.MULTI_START if kind == "exact" else Stage.TOGETHER
+    assert {stage for stage, _ in passed.values()} == {Stage.ALONE, coarse, Stage.FINE}
     for at in range(1, len(passed)) if kind == "phone" else (3, 7):
         resumed = fit_svbrdf(capture, MITSUBA, config, resume=tmp_path / f"{at}.safetensors")
         for name, value in whole.svbrdf.maps.items():
@@ -171,20 +162,6 @@ def test_a_fit_that_lacked_rounds_begins_anew_with_more(two_stages, capture, tmp
     with pytest.raises(KeyboardInterrupt):  # the earlier result stays
         fit_svbrdf(capture, MITSUBA, more, resume=tmp_path / "c",
                    report=lambda *_: [*map(signal.raise_signal, once)])
-
-
-def test_ctrl_c_keeps_the_last(capture, tmp_path):
-    before = signal.signal(signal.SIGINT, signal.default_int_handler)
-
-    def interrupt(entry, share):
-        if entry["iteration"] == Hierarchical.measured_every:
-            signal.raise_signal(signal.SIGINT)
-
-    result = fit_svbrdf(capture, MITSUBA, report=interrupt, checkpoint=tmp_path / "c.safetensors")
-    assert result.stopped == "interrupted" and result.trace[-1]["iteration"] == Hierarchical.measured_every
-    assert result.rerender_rmse == result.trace[-1]["rerender_rmse"]
-    assert load_tensors(tmp_path / "c.safetensors")[1]["iteration"] == Hierarchical.measured_every
-    assert signal.signal(signal.SIGINT, before) is signal.default_int_handler
 
 
 def test_a_tiny_budget_still_makes_a_round(capture):

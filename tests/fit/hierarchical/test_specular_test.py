@@ -5,13 +5,12 @@ from dataclasses import replace
 import pytest
 import torch
 from helpers import GRID, MITSUBA, photos_of
-from helpers.hierarchical_fits import left_alone
+from helpers.hierarchical_fits import left_alone, saving_loop
 from helpers.variants import mostly_slow
 
 from mitsvbrdf.fit import FitTask, HierarchicalConfig, fit_svbrdf, make_method
 from mitsvbrdf.fit.hierarchical import omitted, specular_test
 from mitsvbrdf.fit.hierarchical.stages import ROUNDS, Stage
-from mitsvbrdf.fit.loop import Loop
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF
 
@@ -114,27 +113,17 @@ def test_a_free_stage_that_was_cut_short_decides_nothing(black):
 def test_it_resumes_to_the_bit_and_goes_back(black, tmp_path):
     first = ROUNDS[Stage.ALONE]
     config = HierarchicalConfig(iterations=100)
-    loop = Loop(make_method(FitTask(black, MITSUBA, config)), black, MITSUBA, config)
-    step, before = loop.method.step, {}
-
-    def saving_step(progress):
-        if loop.iteration in (first, first + 2):
-            loop.checkpoint = tmp_path / f"{loop.iteration}.safetensors"
-            loop.save()
-            before[loop.iteration] = loop.method.state()
-        return step(progress)
-
-    loop.method.step = saving_step
+    loop, before = saving_loop(black, config, tmp_path)
     loop.run()
     whole, _ = loop.method.estimate()
     assert loop.method.stages.matte and not whole["specular"].any()
-    for at in before:
+    for at in (first, first + 2):
         resumed = fit_svbrdf(black, MITSUBA, config, resume=tmp_path / f"{at}.safetensors").svbrdf
         assert all(torch.equal(whole[name], resumed[name]) for name in whole.maps)
-    loop.method.load_state(before[first])  # a bad step is taken back to before it was decided
+    loop.method.load_state(before[first][1])  # a bad step is taken back to before it was decided
     assert not loop.method.stages.matte and loop.method.answer.x.shape[0] == len(
         loop.method.prior.unknowns.names) == 9
-    step(0.0)
+    loop.method.step(0.0)
     assert loop.method.stages.matte
 
 

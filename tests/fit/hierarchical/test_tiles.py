@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 import torch
 from helpers import GRID, MITSUBA, photos_of
-from helpers.hierarchical_fits import method_of
+from helpers.hierarchical_fits import method_of, reached
 
 from mitsvbrdf import views
 from mitsvbrdf.capture import Capture
@@ -47,19 +47,21 @@ def test_tiles_give_the_same_bits(monkeypatch):
     assert not torch.equal(found[0][0], x)
 
 
-def test_a_start_that_is_its_own_prior_is_two_things():
-    """Also to the next call, whose prior is another: Dr.Jit would take it for the start."""
+def test_planes_that_share_memory_do_not_bind_later_calls():
+    """Dr.Jit would take the next prior for the start, or all of its precisions for one."""
     observations, generator = Observations(some_photos(), GRID, "gamma2.2", 0.03), torch.Generator()
     solver, fresh = TexelSolver("roughconductor"), TexelSolver("roughconductor")
     x, mean = (0.2 + 0.5 * torch.rand(9, SIDE, SIDE, generator=generator.manual_seed(k)) for k in (3, 4))
 
-    def solved(solver, mean):
-        return solver.solve(observations, x, torch.full((SIDE, SIDE), 0.01), mean, torch.full_like(x, 100.0),
+    def solved(solver, mean, precision):
+        return solver.solve(observations, x, torch.full((SIDE, SIDE), 0.01), mean, precision,
                             torch.full((9,), 0.05), torch.ones(9), 3).x
 
-    own = solved(solver, x)
-    assert torch.equal(solved(solver, mean), solved(fresh, mean))
-    assert torch.equal(own, solved(fresh, x.clone())) and not torch.equal(own, solved(fresh, mean))
+    once, each = torch.full((1, SIDE, SIDE), 100.0).expand_as(x), 50 + 100 * mean
+    own = solved(solver, x, once)
+    assert torch.equal(solved(solver, mean, each), solved(fresh, mean, each))
+    assert torch.equal(own, solved(fresh, x.clone(), once.contiguous()))
+    assert not torch.equal(own, solved(fresh, mean, once))
 
 
 def test_texels_that_have_arrived_stay(monkeypatch):
@@ -179,9 +181,8 @@ def test_photos_as_stored_give_the_same_fit(exact, monkeypatch):
 def test_a_state_keeps_equal_precisions_once(monkeypatch):
     monkeypatch.setattr(stages, "EXACT", 0.0)
     monkeypatch.setattr(scales, "COARSE", 8)
-    method = method_of(photos_of(make_material("leather", 16)))
-    while method.stages.stage != stages.Stage.FINE:
-        method.step(0.0)
+    method = reached(stages.Stage.FINE, method_of(photos_of(make_material("leather", 16))))
+    assert method.glimpse() is None  # real photos at full size are measured whole
     state = method.state()
     assert state["precision"].shape == (9, 1, 1)
     again = method_of(method.capture)

@@ -151,7 +151,7 @@ def test_the_question_whether_a_material_is_matte_is_not_asked_where_it_cannot_e
     method, clock = timed(AMPLE, exact=True)
     while not method.stages.finished:
         method.step(0.0)
-    method.stages.judge(torch.zeros(2))
+    method.stages.unexplained = torch.zeros(2)
     asked = specular_test.decision_work(method.scales) / SIDE**2
     for left, counts in ((asked - 1, set()), (asked + STEPS + LAST_STEPS + 1, {specular_test.STEPS})):
         clock.calls.clear()
@@ -255,7 +255,7 @@ def test_the_pace():
 @pytest.mark.parametrize("exact", [False, True])
 def test_the_last_stage_of_real_photos_ends_by_what_its_rounds_tell(exact):
     found = Stages(multi_start=True, stated=exact)
-    found.judge(torch.ones(2))
+    found.unexplained = torch.ones(2)
     found.enter(Stage.FINE)
     found.begin_round()
     found.moved(2 * stages.CALM)
@@ -267,15 +267,3 @@ def test_the_last_stage_of_real_photos_ends_by_what_its_rounds_tell(exact):
     again = Stages(multi_start=True)
     again.load_state(found.state())
     assert (again.last, again.others) == (found.last, found.others)
-
-
-@pytest.mark.slow
-def test_measurements_before_full_size_look_at_pixels_of_the_photos(shots, timed):
-    method, _ = timed(AMPLE)
-    svbrdf, _, seen = method.glimpse()
-    assert svbrdf.resolution == seen.resolution == SIDE // 2
-    pixels = {tuple(pixel) for pixel in shots.photos.flatten(0, 2).tolist()}
-    assert {tuple(pixel) for pixel in seen.photos.flatten(0, 2).tolist()} <= pixels  # none is an average
-    while method.stages.stage != Stage.FINE:
-        method.step(0.0)
-    assert method.glimpse() is None
