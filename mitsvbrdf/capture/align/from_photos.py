@@ -98,7 +98,7 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
     stated = [each["35 mm focal length"] for each in exif if "35 mm focal length" in each]
     lens = expected_lens(size, stated)
     focal_share = FOCAL_SHARE if stated else FOCAL_SHARE_ASSUMED
-    pairs = [p for p in pairs if p.a in warps and p.b in warps]
+    pairs = [p for p in pairs if warps.keys() >= {*p.names}]
     lens, poses, matches, unsure = _posed(lens, focal_share, hub, warps, pairs, rejected)
     check_enough(poses, rejected, *NEEDED)
 
@@ -154,7 +154,7 @@ def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pa
             rejected[worst] = (f"only {shares[worst]:.0%} of what it has in common with other photos fits a "
                                "place of the camera")
             del poses[worst]
-            pairs = [p for p in pairs if worst not in (p.a, p.b)]
+            pairs = [p for p in pairs if worst not in p.names]
             if len(poses) < LEAST_PHOTOS:
                 return lens, poses, [], unsure
         elif settled == 2:
@@ -168,7 +168,7 @@ def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pa
 
 def _agreeing(name: str, pairs: list[Pair], matches: list[Match]) -> float:
     """Ratio of a photo's matches that agree with the poses to those that agree with homographies."""
-    own = [(p.count, len(m.at_a)) for p, m in zip(pairs, matches) if name in (p.a, p.b) and p.count]
+    own = [(p.count, len(m.at_a)) for p, m in zip(pairs, matches) if name in p.names and p.count]
     return sum(there for _, there in own) / max(1, sum(count for count, _ in own))
 
 
