@@ -28,6 +28,8 @@ CONTRAST = 0.01
 RATIO = 0.8  # a match counts when its distance is below this share of the second best's (Lowe 2004)
 REPROJECTION = 3.0  # error from which a match is an outlier, in pixels of the feature search
 OTHER_PLACE = 12.0  # distance in pixels from which a feature of the same photo counts as another
+MOST_AGAIN = 8  # photos that an unconnected photo is compared with again, by all features
+SIGMA = 0.5  # standard deviation of a match, in pixels of the feature search
 LEAST_INLIERS = 15  # any four matches agree with a homography; chance agreements were seen to reach 10
 
 
@@ -139,10 +141,6 @@ def spread(points: Array, size: tuple[int, int], most: int) -> NDArray[np.intp]:
         inside = np.flatnonzero(cell == value)
         turn[inside] = np.arange(len(inside))
     return np.argsort(turn, kind="stable")[:most]
-
-
-MOST_AGAIN = 8  # photos that an unconnected photo is compared with again, by all features
-SIGMA = 0.5  # standard deviation of a match, in pixels of the feature search
 
 
 @dataclass(frozen=True)

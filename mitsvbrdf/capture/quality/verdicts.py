@@ -1,8 +1,7 @@
 """Which photos are rejected, and why: verdicts on their quality.
 
 A photo is rejected where it would do harm: highlights, falloff, shadows of a relief and the softness of a
-slanted view are no reasons. A number that a reason needs is a field of
-:class:`~.photo_quality.PhotoQuality`.
+slanted view are no reasons.
 
 Limits were measured on 108 photos of twelve materials. None of these photos is bad; the comment of each
 limit gives the worst value among them.
