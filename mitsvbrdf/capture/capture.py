@@ -68,8 +68,7 @@ def used_transfer(transfer: Transfer, colours: Mapping[str, Converted]) -> tuple
 LEAST_SIDE = 8  # pixels
 SINGLE = 32  # single pixels a side that a shrunk photo keeps of the original
 
-# Where the views of a capture come from: its maker, a marker sheet, the features that raw photos share, or
-# nowhere.
+# by the maker of a capture, a marker sheet, the features that raw photos share, or not at all
 Calibration = Literal["given", "sheet", "photos", "none"]
 
 

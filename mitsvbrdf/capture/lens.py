@@ -51,11 +51,6 @@ class Lens:
         x, y = self.middle
         return np.array([[self.focal, 0, x], [0, self.focal, y], [0, 0, 1.0]])
 
-    @property
-    def coefficients(self) -> Array:
-        """OpenCV's distortion coefficients k1, k2, p1, p2, k3."""
-        return np.array([*self.distortion, 0.0, 0.0, 0.0])
-
     def radius2(self, pixels: Array) -> Array:
         """Squared distances of pixels (... x 2) from the middle of the photo, 1 at half its diagonal."""
         middle = (np.array(self.size) - 1) / 2

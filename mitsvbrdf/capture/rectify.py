@@ -59,13 +59,12 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
 
     Each pixel is the average over its area, from at least as many samples as the photo has pixels there: R x
     R x 3 float32 in [0, 1], NaN where the photo does not reach, or is not ``opaque`` (H x W). The photo is H
-    x W x 3 as stored (8 or 16 bits, or float32), of the size of ``lens``, or that divided by a whole number.
+    x W x 3 as stored (8 or 16 bits, or float32), of the size of ``lens``.
     """
     import cv2
 
     height, width = pixels.shape[:2]
-    scale = 1 / max(1, round(lens.size[0] / width))
-    at = project(lens, pose, CORNERS * size) * scale
+    at = project(lens, pose, CORNERS * size)
     longest = np.linalg.norm(np.roll(at, -1, axis=0) - at, axis=1).max()
     times = max(1, int(np.ceil(np.nan_to_num(longest, nan=0.0) / resolution))) if np.isfinite(longest) else 1
     whole = float(np.iinfo(pixels.dtype).max) if np.issubdtype(pixels.dtype, np.integer) else 1.0
@@ -76,7 +75,7 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
     for first in range(0, resolution, rows):
         y = -steps[first * times : (first + rows) * times, None]
         part = np.stack(np.broadcast_arrays(steps, y, 0.0), axis=-1)
-        where = (project(lens, pose, part.reshape(-1, 3)).reshape(*part.shape[:2], 2) + 0.5) * scale - 0.5
+        where = project(lens, pose, part.reshape(-1, 3)).reshape(*part.shape[:2], 2)
         where = np.nan_to_num(where, nan=-1e6).astype(np.float32)
         low = np.clip(np.floor(where.min(axis=(0, 1))).astype(int) - 2, 0, (width - 1, height - 1))
         high = np.clip(np.ceil(where.max(axis=(0, 1))).astype(int) + 3, low + 1, (width, height))

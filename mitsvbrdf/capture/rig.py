@@ -11,9 +11,6 @@ from ..errors import CaptureError
 from .lens import Lens, Pose
 
 LEAST_PHOTOS = 3  # from which views can be found
-# Spread of the cameras as a share of their height: below, all photos are from one place. Nine places as in
-# docs/capture.md: 0.2; seven real captures that were rectified already: 0.003 to 0.009.
-ONE_PLACE = 0.03
 
 
 class OnePlace(CaptureError):
@@ -58,13 +55,6 @@ def check_enough(kept: Sized, rejected: Mapping[str, str], what: str = "that can
     reasons = "".join(f"; {', '.join(names)}: {reason}" for reason, names in named.items())
     raise CaptureError(f"{LEAST_PHOTOS} photos or more {what}",
                        f"{len(kept)} of {len(kept) + len(rejected)}{reasons}", fix)
-
-
-def check_places(rig: Rig) -> None:
-    """Raise OnePlace where all photos are from one place."""
-    camera = np.stack([pose.position for pose in rig.poses.values()])
-    if camera.std(axis=0).max() < ONE_PLACE * camera[:, 2].mean():
-        raise one_place(len(camera))
 
 
 def one_place(count: int) -> OnePlace:

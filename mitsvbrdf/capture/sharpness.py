@@ -15,8 +15,6 @@ MOST_PHOTOS = 4  # at most so many photos are looked at
 CONTRAST, SURELY = 0.5, 0.5
 BEYOND_CHANCE = 3  # standard deviations of the correlation of noise
 FEWEST = 8  # pixels a side of the middle in the coarsest octave
-
-
 CLEARLY = 2  # detail is measured only where photos are shrunk by this factor or more
 
 

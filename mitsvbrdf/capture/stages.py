@@ -25,7 +25,7 @@ from .light.lit import Lit
 from .light.solve import Shading
 from .photo import Photo, of_one_camera
 from .quality.next_view import HIGHLIGHT_ANGLE, NextView, next_best_view
-from .quality.photo_quality import PhotoQuality
+from .quality.photo_quality import PhotoQuality, photo_qualities
 from .quality.verdicts import blurred, judge
 from .rectify import Rectified
 from .rig import Rig, check_enough, rig_to_json
@@ -119,17 +119,18 @@ def _in_stages(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float,
         notes += overruled
         lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
         even, exposed = (lit.shading.evenness, lit.shading.log_exposure) if lit.shading else (None, None)
-        found = judge(lit.pictures, lit.views, transfer, rectified.overlap, even, fired, lit.measured,
-                      exposed)
-        qualities |= found.qualities
-        rejected |= rig.rejected | found.rejected
+        found = photo_qualities(lit.pictures, lit.views, transfer, rectified.overlap, even, lit.measured,
+                                exposed)
+        bad, misled = judge(found, lit.pictures, lit.views, fired)
+        qualities |= {photo.name: photo for photo in found}
+        rejected |= rig.rejected | bad
         kept = [photo for photo in kept if photo.name not in rejected]
         check_enough(kept, rejected)
         # A bad photo cannot mislead poses from tags. Its features may have misled the poses of all photos:
         # repeat without it.
-        if sheet_cm is not None or not found.misled:
+        if sheet_cm is not None or not misled:
             break
-    if found.rejected:
+    if bad:
         rig = replace(rig, poses={photo.name: rig.poses[photo.name] for photo in kept})
         lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
     without_pose = [photo for photo in photos if photo.name in rejected.keys() - qualities.keys()]

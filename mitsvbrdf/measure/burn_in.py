@@ -9,11 +9,7 @@ own pattern resembles that of the highlights has some, too.
 
 Each single highlight leaves an oval as wide as the lobe, which the smallest angle blurs.
 :func:`local_burn_in` looks for ovals. A map rolled sideways has other parts of the material where the
-highlights were; local burn-in is how much more of the unrolled map the ovals explain.
-
-Measured at 128 px on the roughness that MaterialGAN published: `wood-bamboo` 0.67, `cards-blue` and
-`bathroomtile1` 0.01. Fine texture counts as variance, so the share falls a little with the resolution
-(`wood-bamboo` 0.69 at 64 px, 0.63 at 256 px).
+highlights were. Fine texture counts as variance, so burn-in falls a little with the resolution.
 """
 
 from collections.abc import Iterator

@@ -96,16 +96,16 @@ def of_all(each: Sequence[float]) -> float:
     return math.sqrt(sum(error**2 for error in each) / len(each))
 
 
-def image_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> dict[str, float]:
+def image_error(image: Tensor, reference: Tensor) -> dict[str, float]:
     """Error of an image, value by value: :func:`relative_error` and :func:`error_statistics`."""
-    return error_statistics(relative_error(image, reference, floor))
+    return error_statistics(relative_error(image, reference))
 
 
-def relative_error(image: Tensor, reference: Tensor, floor: float = FLOOR) -> Tensor:
-    """(image - reference) / max(|reference|, floor mean |reference|), same shape, float64."""
+def relative_error(image: Tensor, reference: Tensor) -> Tensor:
+    """(image - reference) / max(|reference|, FLOOR mean |reference|), same shape, float64."""
     flat_image, flat_reference = _pair(image, reference)
     size = flat_reference.abs()
-    least = max(floor * float(size.mean()), torch.finfo(torch.float64).tiny)  # not 0 where all is black
+    least = max(FLOOR * float(size.mean()), torch.finfo(torch.float64).tiny)  # not 0 where all is black
     return ((flat_image - flat_reference) / size.clamp_min(least)).reshape(reference.shape)
 
 

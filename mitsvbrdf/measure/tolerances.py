@@ -7,8 +7,6 @@ Three checks hold renderers against float64, and each asks another question:
   for all renderers.
 - :data:`SWEEP_TOLERANCES`: the sweeps to extremes. An error within the tolerance counts as exact;
   conditioning has to explain a larger one.
-
-:data:`UNIT_ROUNDOFF` is what float32 itself is off by.
 """
 
 from dataclasses import dataclass

@@ -49,35 +49,31 @@ class HandheldRenderer:
         Lengths are in cm. Under a flash of this radiant intensity a white diffuse texel has radiance I cos /
         (pi d^2). Instead of the flash, surroundings may have the radiance ``ambient`` everywhere.
         """
-        with using_mitsuba(self.variant) as mi:
-            return self._render(mi, lens, pose, intensity, ambient, seed)
-
-    def _render(self, mi: ModuleType, lens: Lens, pose: Pose, intensity: float, ambient: float,
-                seed: int) -> NDArray[np.float32]:
         import drjit as dr
 
         samples = max(self.samples, AMBIENT_SAMPLES) if ambient else self.samples
         width, height = lens.size
         rows = min(height, max(1, MOST_RAYS // (width * samples)))
-        scene, held = self._scene(mi, width, rows, bool(ambient), samples)
-        sensor = scene.sensors()[0]
-
-        def opaque(value: float) -> Any:  # a number that is not compiled in
-            return dr.opaque(mi.Float, float(value))
-
-        sensor.set(lens, pose, opaque)
-        if ambient:
-            held["ambient.radiance.value"] = dr.opaque(mi.Color3f, ambient)
-        else:
-            held["flash.position"] = mi.Point3f(*(opaque(x) for x in pose.flash(lens)))
-            held["flash.intensity.value"] = dr.opaque(mi.Color3f, intensity)
-        held.update()
         out = np.empty((height, width, 3), dtype=np.float32)
-        for block, first in enumerate(range(0, height, rows)):
-            first = min(first, height - rows)  # the last block overlaps: all have one size, and so one kernel
-            sensor.first = opaque(first)
-            image = scene.integrator().render(scene, sensor, seed=seed * 65536 + block, spp=samples)
-            out[first : first + rows] = np.array(image)
+        with using_mitsuba(self.variant) as mi:
+            scene, held = self._scene(mi, width, rows, bool(ambient), samples)
+            sensor = scene.sensors()[0]
+
+            def opaque(value: float) -> Any:  # a number that is not compiled in
+                return dr.opaque(mi.Float, float(value))
+
+            sensor.set(lens, pose, opaque)
+            if ambient:
+                held["ambient.radiance.value"] = dr.opaque(mi.Color3f, ambient)
+            else:
+                held["flash.position"] = mi.Point3f(*(opaque(x) for x in pose.flash(lens)))
+                held["flash.intensity.value"] = dr.opaque(mi.Color3f, intensity)
+            held.update()
+            for block, first in enumerate(range(0, height, rows)):
+                first = min(first, height - rows)  # the last overlaps: all have one size, and so one kernel
+                sensor.first = opaque(first)
+                image = scene.integrator().render(scene, sensor, seed=seed * 65536 + block, spp=samples)
+                out[first : first + rows] = np.array(image)
         return out
 
     def _scene(self, mi: ModuleType, width: int, rows: int, ambient: bool, samples: int) -> tuple[Any, Any]:
@@ -103,8 +99,9 @@ class HandheldRenderer:
 def _shapes(mi: ModuleType, svbrdf: SVBRDF, side: float, sheet: Sheet | None, depth: float) -> dict[str, Any]:
     """All that is seen, by name."""
     grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": TABLE_ALBEDO}}
-    shapes = {"sample": _square(mi, side, 0.0, _material(mi, svbrdf)),
-              "table": _square(mi, max(TABLE, 4 * side), -BELOW, grey)} | (
+    wide = max(TABLE, 4 * side)
+    shapes = {"sample": _rectangle(mi, (0, 0, 0.0), (side / 2, side / 2), _material(mi, svbrdf)),
+              "table": _rectangle(mi, (0, 0, -BELOW), (wide / 2, wide / 2), grey)} | (
                   _paper(mi, sheet, depth) if sheet else {})
     return {name: mi.load_dict(shape) for name, shape in shapes.items()}
 
@@ -116,8 +113,8 @@ def _texture(mi: ModuleType, value: NDArray) -> Any:
                          "filter_type": "bilinear", "wrap_mode": "clamp"})
 
 
-def _square(mi: ModuleType, side: float, height: float, bsdf: dict) -> dict:
-    to_world = mi.ScalarTransform4f().translate([0, 0, height]).scale([side / 2, side / 2, 1])
+def _rectangle(mi: ModuleType, middle: tuple, reach: tuple, bsdf: dict) -> dict:
+    to_world = mi.ScalarTransform4f().translate([*middle]).scale([*reach, 1])
     return {"type": "rectangle", "to_world": to_world, "bsdf": bsdf}
 
 
@@ -139,10 +136,8 @@ def _paper(mi: ModuleType, sheet: Sheet, depth: float) -> dict:
                                              "right": (n - edge, edge, n, n - edge)}.items():
         x, y = (np.array([left + right, -top - bottom]) / n + (-1, 1)) * sheet.outer / 2
         across, up = (np.array([right - left, bottom - top]) / n) * sheet.outer / 2
-        shapes[f"paper_{name}"] = {
-            "type": "rectangle",
-            "to_world": mi.ScalarTransform4f().translate([x, y, depth]).scale([across, up, 1]),
-            "bsdf": {"type": "diffuse", "reflectance": _texture(mi, albedo[top:bottom, left:right])}}
+        shapes[f"paper_{name}"] = _rectangle(mi, (x, y, depth), (across, up), {
+            "type": "diffuse", "reflectance": _texture(mi, albedo[top:bottom, left:right])})
     return shapes
 
 
@@ -181,8 +176,5 @@ def _register(variant: str) -> None:
             right, down, forward = self.axes
             direction = dr.normalize(right * (x * scale) + down * (y * scale) + forward)
             return mi.RayDifferential3f(self.origin, direction, time), mi.Color3f(1)
-
-        def to_string(self) -> str:
-            return "LensCamera[]"
 
     mi.register_sensor(CAMERA, LensCamera)

@@ -12,7 +12,6 @@ from helpers import ANALYTIC, MITSUBA, photos_of
 
 from mitsvbrdf import cli
 from mitsvbrdf.calibrate.estimate import Problem, estimate_views, self_calibrated, why_not
-from mitsvbrdf.calibrate.refine import PRIORS
 from mitsvbrdf.capture import Capture, read_capture, write_capture
 from mitsvbrdf.errors import CaptureError
 from mitsvbrdf.evaluate.photos import evaluate_fit
@@ -289,8 +288,3 @@ def test_record_of_stated_views(glossy):
                         None, None, None)
     assert not said["estimated"] and said["camera_sd"] is None and said["flash_offset_sd"] is None
     assert said["flash_offset"] == pytest.approx([0.1, 0.0]) and said["log_power_sd"] is None
-
-
-def test_priors_of_each_kind_of_calibration():
-    widths = [max(PRIORS[kind].camera) for kind in ("sheet", "given", "photos", "none")]
-    assert widths == sorted(widths) and set(PRIORS) == {"given", "sheet", "photos", "none"}

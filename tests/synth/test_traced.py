@@ -1,7 +1,5 @@
 """The simulated phone's pictures and its lens."""
 
-import math
-
 import numpy as np
 import pytest
 import torch
@@ -95,20 +93,3 @@ def test_a_photo_rectified_shows_what_the_analytic_renderer_says():
     inner = slice(1, -1)  # the outermost texels have the table beside them
     error = np.sqrt(np.square(seen - truth)[inner, inner].mean()) / truth.mean()
     assert error < 0.01  # measured: 0.0032, of 8 bits; with the vignetting of the photo left in 0.2
-
-
-def test_the_flash_moves_the_highlight_and_turns_with_the_phone():
-    """On a mirror-like sample it is halfway between the feet of camera and flash, both at one height."""
-    maps = flat(8, diffuse=0.0, specular=0.5, roughness=0.1)
-    scene = HandheldRenderer(maps, 24.0)
-    lens = Lens((400, 300), 300.0, distortion=(0.06, -0.04), flash=(3.0, 1.0, 0.0))
-    for turn in (0.0, math.pi / 2):
-        pose = Pose.looking_at((1.0, 2.0, 20.0), (1.0, 2.0, 0.0), turn)
-        seen = scene.render(lens, pose, intensity=1000.0)[..., 0]
-        weight = np.where(seen > seen.max() / 2, seen, 0)
-        row, column = (np.indices(seen.shape) * weight).sum(axis=(1, 2)) / weight.sum()
-        halfway = (pose.position + pose.flash(lens))[:2] / 2
-        # Measured: 0.009 cm; the highlight is 0.2 cm wide
-        np.testing.assert_allclose(on_plane(lens, pose, np.array([[column, row]]))[0], halfway, atol=0.02)
-    # turned: what was right is down, what was down is left
-    np.testing.assert_allclose(halfway, (0.5, 0.5), atol=1e-9)

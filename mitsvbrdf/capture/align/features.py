@@ -28,6 +28,8 @@ CONTRAST = 0.01
 RATIO = 0.8  # a match counts when its distance is below this share of the second best's (Lowe 2004)
 REPROJECTION = 3.0  # error from which a match is an outlier, in pixels of the feature search
 OTHER_PLACE = 12.0  # distance in pixels from which a feature of the same photo counts as another
+MOST_AGAIN = 8  # photos that an unconnected photo is compared with again, by all features
+SIGMA = 0.5  # standard deviation of a match, in pixels of the feature search
 LEAST_INLIERS = 15  # any four matches agree with a homography; chance agreements were seen to reach 10
 
 
@@ -141,10 +143,6 @@ def spread(points: Array, size: tuple[int, int], most: int) -> NDArray[np.intp]:
     return np.argsort(turn, kind="stable")[:most]
 
 
-MOST_AGAIN = 8  # photos that an unconnected photo is compared with again, by all features
-SIGMA = 0.5  # standard deviation of a match, in pixels of the feature search
-
-
 @dataclass(frozen=True)
 class Pair:
     """What two photos have in common."""
@@ -155,14 +153,9 @@ class Pair:
     wild: bool = False  # whether there is a homography that no camera could have made
 
     @property
-    def a(self) -> str:
-        """Name of the first photo."""
-        return self.matches.a
-
-    @property
-    def b(self) -> str:
-        """Name of the second photo."""
-        return self.matches.b
+    def names(self) -> tuple[str, str]:
+        """Names of the two photos."""
+        return self.matches.a, self.matches.b
 
     @property
     def count(self) -> int:
@@ -184,8 +177,8 @@ def find_pairs(features: dict[str, Features], size: tuple[int, int],
     again: dict[tuple[str, str], None] = {}
     for name in features:
         if name not in linked:
-            own = sorted((p for p in found.values() if name in (p.a, p.b)), key=lambda p: -p.agree.sum())
-            again |= {(p.a, p.b): None for p in own[:MOST_AGAIN] if p.warp is None}
+            own = sorted((p for p in found.values() if name in p.names), key=lambda p: -p.agree.sum())
+            again |= {p.names: None for p in own[:MOST_AGAIN] if p.warp is None}
     return list((found | {(a, b): _pair(features, a, b, size, MOST_FEATURES) for a, b in again}).values())
 
 
@@ -208,8 +201,8 @@ def chained_pairs(names: Collection[str], pairs: list[Pair]) -> tuple[str, dict[
     links: dict[str, dict[str, tuple[int, Any]]] = {name: {} for name in names}
     for pair in pairs:
         if pair.warp is not None:
-            links[pair.a][pair.b] = (pair.count, pair.warp)
-            links[pair.b][pair.a] = (pair.count, np.linalg.inv(pair.warp))
+            a, b = pair.names
+            links[a][b], links[b][a] = (pair.count, pair.warp), (pair.count, np.linalg.inv(pair.warp))
     best: tuple[str, dict[str, Array]] = ("", {})
     for hub in sorted(names, key=lambda name: -sum(count for count, _ in links[name].values())):
         if hub in best[1]:
@@ -225,9 +218,9 @@ def chained_pairs(names: Collection[str], pairs: list[Pair]) -> tuple[str, dict[
 
 def apart(name: str, pairs: list[Pair]) -> str:
     """Why a photo could not be connected."""
-    own = [p for p in pairs if name in (p.a, p.b)]
+    own = [p for p in pairs if name in p.names]
     most = max(own, key=lambda p: int(p.agree.sum()))
-    other = most.b if most.a == name else most.a
+    (other,) = {*most.names} - {name}
     if any(p.wild for p in own):
         return ("its homography is wild (folded, or scaled very differently): another surface, or one that "
                 "is not flat")

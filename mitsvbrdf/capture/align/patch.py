@@ -5,11 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linprog
 
-from ...io.layout import Layout
 from ..lens import Array, Lens, Pose, on_plane
-
-HALF_PLANE = Layout(normal=(2,), offset=())  # n . (x, y) <= offset
-SQUARE = Layout(centre=(2,), half=())  # an upright square: its centre, half its side
 
 PHOTO_MARGIN = 0.01  # distance that the patch keeps from a photo's border, as a share of its sides
 CENTRED = 0.95  # of the largest square's side: so much smaller, the patch can lie below the cameras
@@ -38,7 +34,7 @@ def framed(poses: dict[str, Pose], centre: Array, side: float) -> dict[str, Pose
 
 
 def outline(lens: Lens, pose: Pose) -> Array:
-    """Half planes, one a side of a photo, which shows their overlap: 4 x 3, rows by :data:`HALF_PLANE`."""
+    """Half planes n . (x, y) <= b, one a side of a photo, which shows their overlap: 4 x 3, rows (n, b)."""
     size = np.array(lens.size)
     low, high = PHOTO_MARGIN * size - 0.5, (1 - PHOTO_MARGIN) * size - 0.5
     corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
@@ -50,7 +46,7 @@ def outline(lens: Lens, pose: Pose) -> Array:
         edge = points[-1] - points[0]
         normal = np.array([edge[1], -edge[0]]) / np.linalg.norm(edge)
         normal *= np.sign(normal @ (points[0] - middle))
-        rows.append(HALF_PLANE.pack(normal=normal, offset=(points @ normal).min()))
+        rows.append((*normal, (points @ normal).min()))
     return np.array(rows)
 
 
@@ -59,22 +55,21 @@ def largest_square(outlines: Sequence[Array]) -> float:
 
     A linear programme: the largest h. A square lies in n . x <= b where n . centre + h (|n_x| + |n_y|) <= b.
     """
-    sides = HALF_PLANE.unpack(np.concatenate(outlines))
-    reach = np.abs(sides.normal).sum(axis=1)
-    found = linprog(SQUARE.pack(half=-1.0), np.column_stack((sides.normal, reach)), sides.offset,
-                    bounds=(None, None))
-    return 2 * SQUARE.unpack(found.x).half if found.success else -1.0
+    sides = np.concatenate(outlines)
+    reach = np.abs(sides[:, :2]).sum(axis=1)
+    found = linprog((0, 0, -1), np.column_stack((sides[:, :2], reach)), sides[:, 2], bounds=(None, None))
+    return 2 * found.x[2] if found.success else -1.0
 
 
 def centred_square(outlines: Sequence[Array], side: float, below: Array) -> Array:
     """Centre (x, y) of the upright square of this side in all outlines that is nearest to ``below``."""
-    # away: |centre - below|
-    sides, unknowns = HALF_PLANE.unpack(np.concatenate(outlines)), Layout(centre=(2,), away=(2,))
-    left = sides.offset - side / 2 * np.abs(sides.normal).sum(axis=1)
+    # unknown: the centre, and |centre - below|
+    sides = np.concatenate(outlines)
+    left = sides[:, 2] - side / 2 * np.abs(sides[:, :2]).sum(axis=1)
     away = np.array([[1, 0, -1, 0], [-1, 0, -1, 0], [0, 1, 0, -1], [0, -1, 0, -1.0]])
-    found = linprog(unknowns.pack(away=1.0), np.concatenate((np.pad(sides.normal, ((0, 0), (0, 2))), away)),
-                    np.concatenate((left, away[:, unknowns["centre"]] @ below)), bounds=(None, None))
-    return unknowns.unpack(found.x).centre
+    found = linprog((0, 0, 1, 1), np.concatenate((np.pad(sides[:, :2], ((0, 0), (0, 2))), away)),
+                    np.concatenate((left, away[:, :2] @ below)), bounds=(None, None))
+    return found.x[:2]
 
 
 def choose_patch(outlines: dict[str, Array], least: int = 3,

@@ -2,8 +2,6 @@
 
 Sixteen AprilTags of the family 36h11 (Olson 2011; Wang and Olson 2016), ids 0 to 15, on the border of a 5 x 5
 grid with a pitch of two tags: the layout of svbrdf-diff-renderer, whose sheets and ours are interchangeable.
-Everything lies on a grid of cells. A tag with its black border is eight cells wide. The frame of tags is 72
-cells wide, from outer edge to outer edge.
 """
 
 from dataclasses import dataclass
@@ -24,7 +22,7 @@ Paper = Literal["a4", "letter"]
 CODES = (0xD5D628584, 0xD97F18B49, 0xDD280910E, 0xE479E9C98, 0xEBCBCA822, 0xF31DAB3AC, 0x056A5D085,
          0x10652E1D4, 0x22B1DFEAD, 0x265AD0472, 0x34FE91B86, 0x3FF962CD5, 0x43A25329A, 0x474B4385F,
          0x4E9D243E9, 0x5246149AE)
-TAG, PITCH, FRAME = 8, 16, 72  # in cells, as are the two next
+TAG, PITCH, FRAME = 8, 16, 72  # in cells of a tag, as are the two next; tags with their black border
 HOLE = 52  # side of the square to cut out; two cells are left to the tags, three to the patch
 OUTER = 76  # side of what counts as the sheet: two white cells around the tags
 PATCH = 0.64  # of the frame: what svbrdf-diff-renderer crops, 1024 of 1600 pixels

@@ -166,11 +166,11 @@ def find_edges(photo: Photo, sheet: Sheet, patient: bool = True) -> Edges:
     grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
     del image
     shown = (np.sqrt(levels) if photo.linear else levels) * 255
-    search = _Search(sheet, grey, grey if levels.size == 256 else shown.astype(np.uint8)[grey], linear)
-    measured = search.measured(patient)
+    eight = grey if levels.size == 256 else shown.astype(np.uint8)[grey]
+    measured = _tags(sheet, grey, eight, linear, patient)
     if trimmed := patient and len(measured) < LEAST_TAGS:
-        corners = sought_by_features(photo, sheet)
-        measured |= search.inside({number: (at + 0.5) / times - 0.5 for number, at in corners.items()})
+        whole = sought_by_features(photo, sheet)
+        measured |= _inside(grey, linear, {number: (at + 0.5) / times - 0.5 for number, at in whole.items()})
     none = patient and len(measured) < LEAST_TAGS
     plane, pixels, across, corners = [], [], [], {}
     for number, (cells, at, normals, found) in sorted(measured.items()):
@@ -182,44 +182,34 @@ def find_edges(photo: Photo, sheet: Sheet, patient: bool = True) -> Edges:
     on_sheet, in_photo, turned = (np.concatenate(part) if part else np.zeros((0, 2))
                                   for part in (plane, pixels, across))
     return Edges(on_sheet, in_photo, turned, corners, trimmed and not none,
-                 fault_of(search.shown) if none else None)
+                 fault_of(eight) if none else None)
 
 
-@dataclass(frozen=True)
-class _Search:
-    """A photo as it is searched for the tags of a sheet."""
+def _tags(sheet: Sheet, grey: NDArray, shown: NDArray[np.uint8], linear: NDArray[np.float32],
+          patient: bool) -> dict[int, Measured]:
+    """The measured tags by id; ``shown`` is ``grey`` in 8 bits.
 
-    sheet: Sheet
-    grey: NDArray  # H x W, 8 or 16 bits
-    shown: NDArray[np.uint8]  # the same in 8 bits
-    linear: NDArray[np.float32]  # radiance by value of grey
+    Tags that touch the photo's edge are measured at their inner edges. If all others are too few, tags are
+    searched again, and all are measured at their inner edges.
+    """
+    measured = {number: m for number, at in detected(shown).items() if (m := _measured(grey, linear, at))}
+    starts, few = {number: m[-1] for number, m in measured.items()}, len(measured) < LEAST_TAGS
+    if few:
+        starts = sought(shown, patient) | starts
+    for _ in range(2):
+        missing = {number: corners for number, corners in expected(starts, sheet).items()
+                   if number not in measured and (few or at_rim(corners, grey.shape))}
+        measured |= _inside(grey, linear, missing) if few else {}
+        measured |= _inside(grey, linear, {number: starts.get(number, corners)
+                                           for number, corners in missing.items() if number not in measured})
+        starts = {number: m[-1] for number, m in measured.items()}
+    return measured
 
-    def measured(self, patient: bool) -> dict[int, Measured]:
-        """The measured tags by id.
 
-        Tags that touch the photo's edge are measured at their inner edges. If all others are too few, tags
-        are searched again, and all are measured at their inner edges.
-        """
-        found = {number: _measured(self.grey, self.linear, corners)
-                 for number, corners in detected(self.shown).items()}
-        measured = {number: m for number, m in found.items() if m}
-        starts, few = {number: m[-1] for number, m in measured.items()}, len(measured) < LEAST_TAGS
-        if few:
-            starts = sought(self.shown, patient) | starts
-        for _ in range(2):
-            missing = {number: corners for number, corners in expected(starts, self.sheet).items()
-                       if number not in measured and (few or at_rim(corners, self.grey.shape))}
-            measured |= self.inside(missing) if few else {}
-            measured |= self.inside({number: starts.get(number, corners) for number, corners in
-                                     missing.items() if number not in measured})
-            starts = {number: m[-1] for number, m in measured.items()}
-        return measured
-
-    def inside(self, corners: Mapping[int, Array]) -> dict[int, Measured]:
-        """Tags measured at their inner edges, by id; ``corners`` (4 x 2) are where they should be."""
-        found = {number: measured_inside(self.grey, self.linear, number, at)
-                 for number, at in corners.items()}
-        return {number: m for number, m in found.items() if m}
+def _inside(grey: NDArray, linear: NDArray[np.float32], corners: Mapping[int, Array]) -> dict[int, Measured]:
+    """Tags measured at their inner edges, by id; ``corners`` (4 x 2) are where they should be."""
+    return {number: m for number, at in corners.items()
+            if (m := measured_inside(grey, linear, number, at))}
 
 
 # Places of profiles along an edge; directions along and out of each edge: top, right, bottom, left; in cells.

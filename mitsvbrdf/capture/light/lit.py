@@ -66,7 +66,7 @@ def _shading(rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Pa
         except CaptureError as reason:
             notes.append(f"the paper says nothing of the light ({reason.got}); the material is asked instead")
     try:
-        shading = shading_of_material(rig, {name: rectified.pictures[name] for name in rig.poses}, transfer)
+        shading = shading_of_material(rig, rectified.pictures, transfer)
         return shading, (*notes, *shading.notes)
     except CaptureError as reason:
         return None, (*notes, f"the shading says nothing of the light ({reason.got}): the flash is taken to "

@@ -1,7 +1,4 @@
-"""The least-squares problem of the light: flash, vignetting, exposures and one lobe for all are its unknowns.
-
-The albedo of each texel is eliminated (variable projection): it is what explains the samples best.
-"""
+"""The least-squares problem of the light; its unknowns: flash, vignetting, exposures and one lobe for all."""
 
 import math
 

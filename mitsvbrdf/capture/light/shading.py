@@ -42,8 +42,7 @@ LOBE_F0 = 0.03, 0.6
 
 
 def shading_of_paper(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color.Transfer,
-                     white: Callable[[Array], np.ndarray], depth: float = 0.0,
-                     albedo: float = PAPER_ALBEDO) -> Shading:
+                     white: Callable[[Array], np.ndarray], depth: float = 0.0) -> Shading:
     """Flash, its power and colour, vignetting and exposures from white paper around the material.
 
     Photos are pixels H x W x 3 as stored (integers, or float in [0, 1]), of the lens's size, or that
@@ -54,11 +53,11 @@ def shading_of_paper(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color
     seen = {name: paper_samples(photos[name], rig.lens, pose, white, depth, transfer)
             for name, pose in rig.poses.items() if name in photos}
     found = solve_light(rig, Samples.of(rig, seen, "white paper", glossy=False))
-    notes, tint = [f"paper is taken to be white with an albedo of {albedo:g}"], tint_of(found.samples)
-    intensity = np.exp(found.level + found.colour) * math.pi / albedo
+    notes, tint = [f"paper is taken to be white with an albedo of {PAPER_ALBEDO:g}"], tint_of(found.samples)
+    intensity = np.exp(found.level + found.colour) * math.pi / PAPER_ALBEDO
     if tint:
         notes.append(_said(tint, "the paper", "taken out"))
-        intensity = np.exp(found.level + _colours(found.samples, without=tint)[1]) * math.pi / albedo
+        intensity = np.exp(found.level + _colours(found.samples, without=tint)[1]) * math.pi / PAPER_ALBEDO
     return replace(found.shading(intensity, math.hypot(found.level_sd, PAPER_SD), tuple(notes)), tint=tint)
 
 

@@ -1,8 +1,6 @@
 """The most probable light: robust least squares in rounds, once more without photos that had no flash.
 
-The evenness of a photo's light tells these: 0 where it falls off as a flash's, 1 where there is only the
-room's light. Each photo's log radiance, less what the other photos say of its texels, is compared with the
-pattern that a flash would make.
+The evenness of a photo's light tells these (:func:`evenness_of`).
 """
 
 import math

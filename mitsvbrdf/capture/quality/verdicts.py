@@ -1,25 +1,22 @@
 """Which photos are rejected, and why: verdicts on their quality.
 
 A photo is rejected where it would do harm: highlights, falloff, shadows of a relief and the softness of a
-slanted view are no reasons. A number that a reason needs is a field of
-:class:`~.photo_quality.PhotoQuality`.
+slanted view are no reasons.
 
 Limits were measured on 108 photos of twelve materials. None of these photos is bad; the comment of each
 limit gives the worst value among them.
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from torch import Tensor
 
-from ... import color
 from ...material.resample import resized
 from ...views import Views
 from ..photo import Photo
 from ..rectify import LONG_SIDE
-from .photo_quality import PhotoQuality, detail_of, photo_qualities
+from .photo_quality import PhotoQuality, detail_of
 
 LEAST_OVERLAP = 0.95  # of the patch; texels beyond a photo's edge are filled in from the others
 MOST_CLIPPED = 0.4  # of the patch; 0.22
@@ -63,30 +60,18 @@ def _reason(photo: PhotoQuality, qualities: Sequence[PhotoQuality], side: int,
     return None
 
 
-@dataclass(frozen=True)
-class Verdicts:
-    """What is said of photos."""
+def judge(found: Sequence[PhotoQuality], photos: Tensor, views: Views, fired: Mapping[str, str]
+          ) -> tuple[dict[str, str], bool]:
+    """The reason, by name, of each photo that is rejected; and whether poses found with it may be wrong.
 
-    qualities: dict[str, PhotoQuality]  # how good each photo is, by name
-    rejected: dict[str, str]  # reason, by name of each photo that is rejected
-    misled: bool  # whether poses found with a rejected photo are not to be trusted
-
-
-def judge(photos: Tensor, views: Views, transfer: color.Transfer, overlap: Mapping[str, float],
-          evenness: Mapping[str, float] | None = None, fired: Mapping[str, str] | None = None,
-          measured: Tensor | None = None, log_exposure: Mapping[str, float] | None = None) -> Verdicts:
-    """Verdicts on photos, each beside the others.
-
-    The arguments are those of :func:`~.photo_quality.photo_qualities`, and ``fired``: "fired" or "off" by
+    ``found`` are the qualities of the photos (N x R x R x 3 display values). ``fired``: "fired" or "off" by
     name, as EXIF says of the flash.
     """
-    found = photo_qualities(photos, views, transfer, overlap, evenness, measured, log_exposure)
     rejected, misled = dict[str, str](), False
     for photo in found:
-        if said := _reason(photo, found, photos.shape[1], fired or {}):
+        if said := _reason(photo, found, photos.shape[1], fired):
             rejected[photo.name], misled = said[0], misled or said[1]
-    rejected |= _twice(found, photos, views, rejected)
-    return Verdicts({photo.name: photo for photo in found}, rejected, misled)
+    return rejected | _twice(found, photos, views, rejected), misled
 
 
 def _twice(found: Sequence[PhotoQuality], photos: Tensor, views: Views,

@@ -28,13 +28,14 @@ def shots():
     return photos_of(make_material("leather", R), noise=0.002)
 
 
-def judged(shots, photos, views=None, names=NAMES, overlap=None, **how):
+def judged(shots, photos, views=None, names=NAMES, overlap=None, fired=None, **how):
     """Reasons and qualities, by name."""
     overlap = dict.fromkeys(names, 1.0) | (overlap or {})
-    found = judge(photos, views or shots.views, shots.transfer, overlap, **how)
-    assert found.misled == any(reason.startswith(("blurred", "covered", "partly"))
-                               for reason in found.rejected.values())
-    return found.rejected, found.qualities
+    views = views or shots.views
+    found = photo_qualities(photos, views, shots.transfer, overlap, **how)
+    rejected, misled = judge(found, photos, views, fired or {})
+    assert misled == any(reason.startswith(("blurred", "covered", "partly")) for reason in rejected.values())
+    return rejected, {photo.name: photo for photo in found}
 
 
 def changed(shots, number, photo):
