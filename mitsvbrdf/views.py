@@ -130,20 +130,7 @@ class Views:
             if min(power) < 0 or max(power) == 0:
                 raise CaptureError("a light intensity >= 0, not all 0", f"light {row} with {power}",
                                    "check light_pow")
-        self._check_scale()
-
-    def check_finite(self) -> None:
-        """Raise NotFiniteError, naming the row, unless every number is finite."""
-        what_of = {"camera": "positions", "light": "positions", "intensity": "light intensities"}
-        for name, what in what_of.items():
-            for row, numbers in enumerate(getattr(self, name).tolist()):
-                if not all(map(math.isfinite, numbers)):
-                    raise NotFiniteError(f"finite {what}", f"{name} {row} at {numbers}",
-                                         "check the calibration for NaN")
-
-    def _check_scale(self) -> None:
-        """Check distance / patch side, and intensity / squared distance: these ratios have no unit."""
-        sides = self.to(torch.float64).in_patch_sides()
+        sides = self.to(torch.float64).in_patch_sides()  # ratios to the side, and to d^2, have no unit
         for name in ("camera", "light"):
             for row, position in enumerate(getattr(sides, name).tolist()):
                 if position[2] < NEAREST or max(map(abs, position)) > FARTHEST:
@@ -157,6 +144,15 @@ class Views:
             raise CaptureError(f"a light of at most {BRIGHTEST:g} times its squared distance to the patch",
                                f"light {int(brightness.argmax())} with {float(brightness.max()):.3g}",
                                "check light_pow and the patch size")
+
+    def check_finite(self) -> None:
+        """Raise NotFiniteError, naming the row, unless every number is finite."""
+        what_of = {"camera": "positions", "light": "positions", "intensity": "light intensities"}
+        for name, what in what_of.items():
+            for row, numbers in enumerate(getattr(self, name).tolist()):
+                if not all(map(math.isfinite, numbers)):
+                    raise NotFiniteError(f"finite {what}", f"{name} {row} at {numbers}",
+                                         "check the calibration for NaN")
 
     def __len__(self) -> int:
         return self.camera.shape[0]

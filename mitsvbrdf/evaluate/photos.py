@@ -86,9 +86,6 @@ def _words(fit: Fit, fitted: list[str], capture: Capture) -> str:
     return f"views as fitted for {', '.join(fitted)}, the others with {others}{beside}"
 
 
-MapErrors = Callable[[SVBRDF], Mapping[str, float]]
-
-
 @dataclass(frozen=True)
 class Entry:
     """What one method found."""
@@ -99,8 +96,9 @@ class Entry:
     fit: Fit = field(default_factory=Fit)  # for its views and light; the defaults for maps without a fit.json
 
 
-def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer, map_errors: MapErrors
-            | None = None, transfer: color.Transfer | None = None, priors: Priors | None = None,
+def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer,
+            map_errors: Callable[[SVBRDF], Mapping[str, float]] | None = None,
+            transfer: color.Transfer | None = None, priors: Priors | None = None,
             index: Sequence[int] | None = None) -> tuple[dict, list[Tensor]]:
     """Measure every method at the resolution of the photos. Maps are resized to it.
 

@@ -10,11 +10,11 @@ from typing import Literal
 import torch
 from torch import Tensor
 
-from .. import __version__, color
+from .. import __version__
 from ..io import files, images
 from ..kinds import check_fields
 from ..material.encoding import NormalConvention
-from ..material.maps import COLOURS
+from ..material.maps import COLOURS, shown_map
 
 Bits = Literal[8, 16]
 Naming = Literal["own", "polyhaven", "ambientcg", "substance", "materialgan", "deschaintre"]
@@ -70,11 +70,9 @@ def stored(name: str, value: Tensor, normal: NormalConvention = "gl") -> Tensor:
     """A map as its file holds it, in [0, 1]: colours sRGB, the rest linear, normals (n + 1) / 2, ``dx`` with
     y turned around.
     """
-    if name == "normal":
-        if normal == "dx":
-            value = value * torch.tensor([1.0, -1.0, 1.0], dtype=value.dtype)
-        return (value + 1) / 2
-    return color.encode(value, "srgb") if name in COLOURS else value
+    if (name, normal) == ("normal", "dx"):
+        value = value * torch.tensor([1.0, -1.0, 1.0], dtype=value.dtype)
+    return shown_map(name, value)
 
 
 def described(file: str, name: str, bits: int, normal: NormalConvention = "gl") -> Texture:

@@ -173,14 +173,10 @@ def flat(resolution: int, bsdf: Bsdf = "roughconductor", dtype: torch.dtype = to
             roughness, 0.04 specular, 0 metallic.
     """
     defaults = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.5, "base_color": 0.5, "metallic": 0.0}
-    maps = {}
-    for name, channels in CHANNELS[bsdf].items():
-        if name == "normal":
-            maps[name] = torch.tensor([0.0, 0.0, 1.0], dtype=dtype).expand(resolution, resolution, 3).clone()
-        else:
-            maps[name] = torch.full((resolution, resolution, channels), values.get(name, defaults[name]),
-                                    dtype=dtype)
-    return SVBRDF(bsdf, maps)
+    texel: Mapping[str, object] = defaults | values | {"normal": (0.0, 0.0, 1.0)}
+    return SVBRDF(bsdf, {
+        name: torch.tensor(texel[name], dtype=dtype).expand(resolution, resolution, channels).contiguous()
+        for name, channels in CHANNELS[bsdf].items()})
 
 
 def finite(value: Tensor) -> bool:

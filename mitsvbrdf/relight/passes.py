@@ -58,7 +58,7 @@ def render_passes(draw: Callable[[int, int], Tensor], samples: int, *, pixels: i
     started, mean, calls = time.perf_counter(), GroupedMean(), 0
     part = max(min(samples // JACKKNIFE_GROUPS, SAMPLES_AT_ONCE // pixels), 1)
     while mean.samples < samples and not (calls and interrupted):
-        count = _power_of_two(min(part, samples - mean.samples))
+        count = 1 << min(part, samples - mean.samples).bit_length() - 1  # the power of two at or below it
         mean.add(draw(calls, count), count)
         calls += 1
         report(f"{mean.samples} sample{'s' * (mean.samples > 1)}", mean.samples / samples)
@@ -122,7 +122,3 @@ class GroupedMean:
             variance += ((self.samples / count - 1)
                          * float((without - kept).square().mean(dtype=torch.float64)))
         return math.sqrt(variance / len(self.sums))
-
-
-def _power_of_two(most: int) -> int:
-    return 1 << (most.bit_length() - 1)

@@ -38,15 +38,10 @@ def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
 
 def error_and_losses(trace: Sequence[Mapping]) -> list[tuple[str, dict]]:
     """Title and drawing of the error, and of the losses; a drawing without points is left out."""
-    drawn = (("Re-rendering RMSE", curves(trace, ["rerender_rmse"])),
-             ("Losses", curves(trace, losses_of(trace))))
+    losses = [name for name in dict.fromkeys(name for row in trace for name in row)
+              if name not in ("seconds", "iteration", "stage", "rerender_rmse")]
+    drawn = (("Re-rendering RMSE", curves(trace, ["rerender_rmse"])), ("Losses", curves(trace, losses)))
     return [(title, drawing) for title, drawing in drawn if drawing]
-
-
-def losses_of(trace: Sequence[Mapping]) -> list[str]:
-    """Names of the losses in a trace."""
-    return [name for name in dict.fromkeys(name for row in trace for name in row)
-            if name not in ("seconds", "iteration", "stage", "rerender_rmse")]
 
 
 def _drawable(value: float | None) -> bool:

@@ -9,6 +9,7 @@ import math
 import statistics
 from collections.abc import Iterable, Mapping, MutableMapping, Sequence
 from functools import partial
+from operator import attrgetter
 from typing import Any
 
 import torch
@@ -64,13 +65,13 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
         for renderer in renderers:
             figures, error_map = case.compare(renderer)
             found.append({"material": name, "bsdf": bsdf, "renderer": renderer.name} | figures)
-            jobs.append(partial(_seconds, renderer, svbrdf, views))
+            jobs.append(partial(render_and_gradients, renderer, svbrdf, views))
             if error_maps is not None:
                 error_maps[name, bsdf, renderer.name] = error_map
     turns: list[list] = [[] for _ in jobs]
     for turn in range(repeats):  # in turns, so that drift of the machine hits all alike
         for number, job in enumerate(jobs):
-            turns[number].append(job())
+            turns[number].append(attrgetter("forward", "backward")(job()))  # the pictures are not kept
             report("run times", 0.7 + 0.3 * (turn + (number + 1) / len(jobs)) / repeats)
     for number, passes in enumerate(turns):
         forward, backward = zip(*passes)
@@ -152,12 +153,6 @@ class _Case:
                           "roughness": float(self.svbrdf["roughness"][row, column])}
                          | _finite({"value": float(image[at]), "relative_error": float(error[at])}))
         return found
-
-
-def _seconds(renderer: Renderer, svbrdf: SVBRDF, views: Views) -> tuple[float, float]:
-    """Seconds of a forward and of a backward pass; the pictures are not kept."""
-    passes = render_and_gradients(renderer, svbrdf, views)
-    return passes.forward, passes.backward
 
 
 def _finite(figures: dict) -> dict:

@@ -56,23 +56,11 @@ def test_a_downloaded_set_has_the_encodings_of_libraries(tmp_path):
         assert torch.equal(load_maps(folder)["roughness"], found["roughness"])
 
 
-def test_a_missing_metallic_map_is_0_and_said(tmp_path):
-    with pytest.warns(AssumedWarning, match="no metallic map, so it is 0"):
-        found = load_maps(written(tmp_path, w_Color=100, w_Roughness=90, w_NormalGL=UP))
-    assert found.bsdf == "principled" and not found["metallic"].any()
-
-
-def test_gloss_is_one_minus_roughness_and_a_coloured_specular_is_f0(tmp_path):
-    with pytest.warns(AssumedWarning):
-        found = load_maps(written(tmp_path, t_COLOR=100, t_GLOSS=51, t_NRM=UP, t_SPEC=(255, 188, 100)))
-    assert found.bsdf == "roughconductor" and found["roughness"][0, 0, 0] == pytest.approx(0.8, abs=1e-6)
-    assert found["specular"][0, 0, 1] == pytest.approx(((188 / 255 + 0.055) / 1.055) ** 2.4, abs=1e-6)
-
-
-@pytest.mark.parametrize("ending, code", [("roughness", 204), ("gloss", 51)])
-def test_a_coloured_specular_is_f0_beside_roughness_too(ending, code, tmp_path):
-    colours = dict(t_Diffuse=100, t_Normal=UP, t_Specular=(255, 188, 100))
-    folder = written(tmp_path, **colours, **{f"t_{ending}": code})
+@pytest.mark.parametrize("colour, ending, code", [
+    ("Diffuse", "roughness", 204), ("Diffuse", "gloss", 51), ("COLOR", "GLOSS", 51)])
+def test_a_coloured_specular_is_f0_beside_roughness_and_its_opposite(colour, ending, code, tmp_path):
+    folder = written(tmp_path, t_Normal=UP, t_Specular=(255, 188, 100),
+                     **{f"t_{colour}": 100, f"t_{ending}": code})
     with pytest.warns(AssumedWarning):
         found = load_maps(folder)
     assert found.bsdf == "roughconductor" and found["roughness"][0, 0, 0] == pytest.approx(0.8, abs=1e-6)

@@ -93,9 +93,10 @@ def test_an_alpha_that_is_not_read_is_named(tmp_path):
 def test_what_is_no_map_does_not_become_one(extra, tmp_path):
     """Words of the material in the name of another picture; hidden files as macOS packs them."""
     written(tmp_path, rusty_metal_diff=188, rusty_metal_rough=128, rusty_metal_nor_gl=UP, **{extra: 250})
-    with pytest.warns(AssumedWarning, match="no metallic map"):
+    with pytest.warns(AssumedWarning, match="no metallic map, so it is 0"):
         found = load_maps(tmp_path)
-    assert not found["metallic"].any() and found["roughness"][0, 0].item() == pytest.approx(128 / 255)
+    assert not found["metallic"].any() and found.bsdf == "principled"
+    assert found["roughness"][0, 0].item() == pytest.approx(128 / 255)
 
 
 def test_a_grey_map_is_not_taken_for_several(tmp_path):

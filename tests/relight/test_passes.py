@@ -10,8 +10,8 @@ from helpers.stages import srgb
 
 from mitsvbrdf.errors import MapsError
 from mitsvbrdf.material.made import make_material
-from mitsvbrdf.relight import make_stage
 from mitsvbrdf.relight.passes import SAMPLES_AT_ONCE, GroupedMean, render_frame, render_passes
+from mitsvbrdf.relight.stage import make_stage
 
 
 def rmse(a, b):

@@ -17,7 +17,7 @@ from mitsvbrdf.io import images
 from mitsvbrdf.material.maps import CHANNELS, SVBRDF
 from mitsvbrdf.material.relief import occlusion
 from mitsvbrdf.measure.metrics import image_error
-from mitsvbrdf.relight import make_stage
+from mitsvbrdf.relight.stage import make_stage
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.testing import random_material, z_test
 from mitsvbrdf.views import Views, texel_positions

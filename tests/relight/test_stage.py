@@ -13,9 +13,8 @@ from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.export.mitsuba import SCENES
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import CHANNELS, SVBRDF, flat
-from mitsvbrdf.relight import PRESETS, make_stage
 from mitsvbrdf.relight.environment import make_environment
-from mitsvbrdf.relight.stage import mirrored
+from mitsvbrdf.relight.stage import PRESETS, make_stage, mirrored
 from mitsvbrdf.render.analytic import AnalyticRenderer
 from mitsvbrdf.testing import random_material
 from mitsvbrdf.views import Views

@@ -96,8 +96,6 @@ def test_a_spoilt_golden_file_is_an_error_not_a_match(accepted):
 
 @pytest.mark.parametrize("channels", [("R", "B"), ("G",), ("normal.R", "normal.G")])
 def test_a_golden_file_without_all_channels_is_an_error(accepted, channels):
-    import OpenEXR
-
     part = {name: torch.zeros(4, 4).numpy() for name in channels}
     OpenEXR.File({"type": OpenEXR.scanlineimage}, part).write(str(accepted.golden / "grey.exr"))
     said = accepted.run("-k", "picture", failed=1, deselected=2)
