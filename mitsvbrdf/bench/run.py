@@ -66,11 +66,6 @@ class Job:
     budget: float
     seed: int
 
-    @property
-    def title(self) -> str:
-        """For the progress line."""
-        return f"{self.method}, {self.task.name}, {self.budget:g} s, seed {self.seed}"
-
     def key(self, renderer: Renderer) -> dict[str, Any]:
         """What identifies its record."""
         return {"method": self.method, **self.task.key, "config": settings_of(self.config),
@@ -114,7 +109,9 @@ def run(methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequen
     keys = [job.key(renderer) for job in jobs]
     missing = [(job, key) for job, key in zip(jobs, keys) if identity(key) not in found]
     for number, (job, key) in enumerate(missing):
-        def tell(share: float, number: int = number, title: str = job.title) -> None:
+        title = f"{job.method}, {job.task.name}, {job.budget:g} s, seed {job.seed}"
+
+        def tell(share: float, number: int = number, title: str = title) -> None:
             report(f"{title} ({number + 1} of {len(missing)})", (number + share) / len(missing))
 
         tell(0.0)
