@@ -6,7 +6,7 @@ import math
 import os
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict, get_args, get_type_hints
 
@@ -78,8 +78,7 @@ def method_table() -> dict[str, FitConfig]:
     table: dict[str, FitConfig] = {}
     for name, config in METHODS.items():
         table[name] = default = config()
-        presets = (get_args(get_type_hints(config)["preset"])
-                   if any(f.name == "preset" for f in fields(config)) else ())
+        presets = get_args(get_type_hints(config).get("preset"))
         table |= {f"{name}-{preset.removeprefix('paper-')}": config(preset=preset)  # type: ignore[call-arg]
                   for preset in presets if preset != getattr(default, "preset", None)}
     return table
