@@ -42,33 +42,30 @@ def test_the_text_tells_the_same(capsys):
     assert "NO " not in shown
 
 
-@pytest.mark.parametrize("module, line", [("cv2", "pip install opencv-contrib-python-headless"),
-                                          ("torch", "pip install torch"),
-                                          ("safetensors", "pip install safetensors")])
-def test_a_missing_package_is_named_with_the_line_to_type(monkeypatch, capsys, module, line):
+def lacking(monkeypatch, *missing):
+    """Hides packages, and gives what the doctor then returns."""
     real = doctor.importlib.import_module
 
     def without(name, *rest):
-        if name == module:
+        if name in missing:
             raise ModuleNotFoundError(f"No module named {name!r}")
         return real(name, *rest)
 
     monkeypatch.setattr(doctor.importlib, "import_module", without)
-    assert doctor.doctor() == 1
+    return doctor.doctor()
+
+
+@pytest.mark.parametrize("module, line", [("cv2", "pip install opencv-contrib-python-headless"),
+                                          ("torch", "pip install torch"),
+                                          ("safetensors", "pip install safetensors")])
+def test_a_missing_package_is_named_with_the_line_to_type(monkeypatch, capsys, module, line):
+    assert lacking(monkeypatch, module) == 1
     shown = capsys.readouterr().out
     assert f"-> {line}\n" in shown and shown.endswith("see the lines with NO.\n")
 
 
 def test_what_only_some_need_is_told_and_is_no_fault(monkeypatch, capsys):
-    real = doctor.importlib.import_module
-
-    def without(name, *rest):
-        if name in ("av", "flip_evaluator", "ray"):
-            raise ModuleNotFoundError(f"No module named {name!r}")
-        return real(name, *rest)
-
-    monkeypatch.setattr(doctor.importlib, "import_module", without)
-    assert doctor.doctor() == 0
+    assert lacking(monkeypatch, "av", "flip_evaluator", "ray") == 0
     shown = capsys.readouterr().out
     assert '-> pip install "mitsvbrdf[movie]"\n' in shown and '-> pip install "mitsvbrdf[flip]"\n' in shown
     assert "batch: ray            not installed\n" in shown and '-> pip install "mitsvbrdf[batch]"\n' in shown

@@ -48,13 +48,8 @@ class Library:
         newest: dict[tuple[str, str], Material] = {}
         # a pending material is newer than all others
         for each in sorted(self.materials.values(), key=lambda each: (each.state == "pending", each.date)):
-            newest[self.key(each)] = each
+            newest[each.source or each.folder, json.dumps(each.asked, sort_keys=True)] = each
         return {each.folder: each for each in newest.values()}
-
-    @staticmethod
-    def key(material: Material) -> tuple[str, str]:
-        """Capture and options. Of materials with the same key, the newest replaces the others."""
-        return material.source or material.folder, json.dumps(material.asked, sort_keys=True)
 
     def counts(self) -> Counter[str]:
         """How many are in each state."""

@@ -1,8 +1,7 @@
 """The library of a batch: a folder, or an object store, in which each result appears whole or not at all.
 
-A result is one folder, NAME-1a2b3c4d, named by its capture and the beginning of its identity. It is made
-elsewhere. In a folder one rename publishes it, in an object store its record does, which is written last.
-``failed/`` holds the reason why a capture has no result.
+A result is one folder, NAME-1a2b3c4d, named by its capture and the beginning of its identity. ``failed/``
+holds the reason why a capture has no result.
 """
 
 import contextlib

@@ -6,7 +6,7 @@ import math
 import os
 import subprocess
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal, NotRequired, TypedDict, get_args, get_type_hints
 
@@ -67,11 +67,6 @@ class Job:
     budget: float
     seed: int
 
-    @property
-    def title(self) -> str:
-        """For the progress line."""
-        return f"{self.method}, {self.task.name}, {self.budget:g} s, seed {self.seed}"
-
     def key(self, renderer: Renderer) -> dict[str, Any]:
         """What identifies its record."""
         return {"method": self.method, **self.task.key, "config": settings_of(self.config),
@@ -84,8 +79,7 @@ def method_table() -> dict[str, FitConfig]:
     table: dict[str, FitConfig] = {}
     for name, config in METHODS.items():
         table[name] = default = config()
-        presets = (get_args(get_type_hints(config)["preset"])
-                   if any(f.name == "preset" for f in fields(config)) else ())
+        presets = get_args(get_type_hints(config).get("preset"))
         table |= {f"{name}-{preset.removeprefix('paper-')}": config(preset=preset)  # type: ignore[call-arg]
                   for preset in presets if preset != getattr(default, "preset", None)}
     return table
@@ -115,7 +109,9 @@ def run(methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequen
     keys = [job.key(renderer) for job in jobs]
     missing = [(job, key) for job, key in zip(jobs, keys) if identity(key) not in found]
     for number, (job, key) in enumerate(missing):
-        def tell(share: float, number: int = number, title: str = job.title) -> None:
+        title = f"{job.method}, {job.task.name}, {job.budget:g} s, seed {job.seed}"
+
+        def tell(share: float, number: int = number, title: str = title) -> None:
             report(f"{title} ({number + 1} of {len(missing)})", (number + share) / len(missing))
 
         tell(0.0)

@@ -30,10 +30,9 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
             resolution: Annotated[int | None, arg(
                 help="Side of photos and maps. Default: the smallest among them, at most 256.")] = None,
             renderer: RendererName = "mitsuba", transfer: options.FittedTransfer = "auto",
-            refine_views: Annotated[bool, arg(
-                help="Measure again after refining camera, flash and exposure of each photo.")] = False,
-            json_file: options.JsonFile = None, variant: options.Variant = "llvm_ad_rgb",
-            overwrite: options.Overwrite = False, strict: options.Strict = False) -> int:
+            refine_views: options.RefineViews = False, json_file: options.JsonFile = None,
+            variant: options.Variant = "llvm_ad_rgb", overwrite: options.Overwrite = False,
+            strict: options.Strict = False) -> int:
     """Show maps of several methods side by side, with errors, and every photo beside its re-renderings.
 
     `mitsvbrdf compare out materialgan=captures/wood/materialgan --capture captures/wood -o page.html` writes

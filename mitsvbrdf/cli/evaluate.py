@@ -28,10 +28,9 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
              renderer: RendererName = "mitsuba", transfer: options.FittedTransfer = "auto",
              falloff: Annotated[options.FalloffOption, arg(
                  help="Falloff of light. auto: as in the fit.")] = "auto",
-             refine_views: Annotated[bool, arg(
-                 help="Measure again after refining camera, flash and exposure of each photo.")] = False,
-             json_file: options.JsonFile = None, variant: options.Variant = "llvm_ad_rgb",
-             overwrite: options.Overwrite = False, strict: options.Strict = False) -> int:
+             refine_views: options.RefineViews = False, json_file: options.JsonFile = None,
+             variant: options.Variant = "llvm_ad_rgb", overwrite: options.Overwrite = False,
+             strict: options.Strict = False) -> int:
     """Measure maps: against known maps (--reference) or against photos (--capture).
 
     Map RMSE follows common practice: diffuse and specular gamma-encoded, roughness as stored, and the normal

@@ -3,6 +3,8 @@
 import argparse
 import contextlib
 import math
+import os
+import shutil
 from collections.abc import Sequence
 from dataclasses import field, fields, make_dataclass
 from pathlib import Path
@@ -23,7 +25,7 @@ from ..fit.options import FitOptions
 from ..fit.result import Fit
 from ..io import results
 from ..io.progress import Progress, print_numbers, progress_bar, say
-from ..io.room import check_room
+from ..io.provenance import memory_gib
 from ..io.signals import deferred_signals
 from ..render import Renderer, make_renderer
 from .options import Out, Overwrite, Photos, Strict, check_new_files, keep_apart, read_photos
@@ -37,6 +39,7 @@ SHOWN = ("bsdf", "budget", "iterations", "seed", "fix", "grey_specular", "calibr
 # Bytes for each texel, and for each texel of each photo: HELD is the peak of memory (real photos, measured at
 # 2048 and 4096 px), WRITTEN is disk space.
 HELD, WRITTEN = (200, 12), (200, 20)
+PROCESS = 0.7  # GiB of a process that has loaded torch and Mitsuba
 
 
 def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArgPrefixes[FitOptions] = USUAL,
@@ -84,7 +87,7 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
     engine = make_renderer(shared.renderer, shared.variant)
     if explain:
         return _explain(FitTask(shots, engine, config), shared)
-    check_room(shots.resolution, HELD[0] + HELD[1] * len(shots), out, WRITTEN[0] + WRITTEN[1] * len(shots))
+    check_room(shots.resolution, len(shots), out)
     result, before = _fit_into(out, photos, engine, config, shared, resume, overwrite)
     _say_result(result, shots, before)
     if shared.detail != "none":
@@ -93,6 +96,23 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
     also = ("uncertainty/, " if result.deviations else "") + ("detail/, " if result.detail else "")
     say(f"wrote {out}/{page}sheet.png, maps/, {also}rerendered/, scene.xml, fit.json")
     return 0
+
+
+def check_room(side: int, photos: int, out: Path) -> None:
+    """Raise ConfigError, which names the size that would fit, where memory or disk do not suffice for maps of
+    ``side`` x ``side`` texels of so many photos.
+    """
+    place = Path(os.path.realpath(out))
+    there = next(folder for folder in (place, *place.parents) if folder.is_dir())
+    rooms = (("memory", memory_gib()[1] - PROCESS, HELD, PROCESS),
+             (f"space on the disk of {out}", shutil.disk_usage(there).free / 2**30, WRITTEN, 0.0))
+    for what, free, (own, more), beside in rooms:
+        each = own + more * photos
+        if (needed := each * side**2 / 2**30) > free:
+            fits = math.isqrt(int(max(free, 0.0) * 2**30 / each)) // 64 * 64
+            way_out = f"--resolution {fits} fits" if fits else "free some"
+            raise ConfigError(f"{needed + beside:.1f} GiB of {what} for {side} px",
+                              f"{free + beside:.1f} GiB", way_out)
 
 
 def _pretrain(picture: Path, out: Path, config: FitConfig, options: FitOptions, overwrite: bool) -> int:

@@ -12,10 +12,9 @@ FILE = "fit.json"
 SCHEMA_VERSION = 1
 FORMER = {"left_out": "omitted", "finish": "detail"}  # names of fields in fit.json of earlier versions
 LATER: dict[str, Any] = {"used": [], "calibrated_rmse": None}  # fields that earlier versions did not write
-NONE = type(None)
 # What a page needs of fit.json, as types; see :func:`~mitsvbrdf.io.json.shape_error`.
 _SHAPE = {"method": str, "renderer": str, "bsdf": str, "rerender_rmse": NUMBER, "per_photo": {str: NUMBER},
-    "calibrated_rmse": (*NUMBER, NONE),
+    "calibrated_rmse": NUMBER | None,
     "confidence": {str: {"median_sd": NUMBER, "determined_share": NUMBER}}, "burn_in": {str: NUMBER},
     "warnings": [str], "stopped": str, "undone_steps": int, "undone": [{"iteration": int, "reason": str}],
     "seconds": NUMBER, "iterations": int, "seed": int,
@@ -26,9 +25,9 @@ _SHAPE = {"method": str, "renderer": str, "bsdf": str, "rerender_rmse": NUMBER, 
 # What the views and the light of the maps are read from.
 _KNOWN = {"views": {"size": NUMBER, "falloff": str, "camera": [[NUMBER]], "light": [[NUMBER]],
               "intensity": [[NUMBER]]},
-    "flash_offset": (dict, NONE), "capture": {"name": (str, NONE), "photos": [int], "transfer": str}}
+    "flash_offset": dict | None, "capture": {"name": str | None, "photos": [int], "transfer": str}}
 # where they are there
-_BESIDE = {"calibration": dict, "variant": (str, NONE), "detail": dict}
+_BESIDE = {"calibration": dict, "variant": str | None, "detail": dict}
 # What the page says of the views.
 FROM = {"given": "The views are those of the capture's calibration",
         "sheet": "The views come from a sheet of tags",

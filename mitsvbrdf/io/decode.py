@@ -23,7 +23,6 @@ MOST_PIXELS = 250_000_000  # of a picture; the largest sensors of phones have 20
 MOST_BYTES = 8 * MOST_PIXELS  # of its file
 MAGIC = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG", b"II*\0": "TIFF", b"MM\0*": "TIFF"}
 HEIF_BRANDS = b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"
-KINDS = "PNG", "JPEG", "TIFF", "WEBP", "HEIF"
 DNG_VERSION = b"\x12\xc6\1\0\4\0\0\0", b"\xc6\x12\0\1\0\0\0\4"  # tag 50706 of TIFF, four bytes
 BITS, PHOTOMETRIC, ORIENTATION, EXTRA_SAMPLES = 258, 262, 274, 338  # tags of TIFF; EXIF has the third
 NEGATIVE = "negative"  # grey whose white is 0
@@ -75,7 +74,7 @@ def header(path: Path, error: type[MitsvbrdfError]) -> Header:
         raise error("an image file", f"no file at {path}", "check the name")
     with _named(path, error):
         kind = kind_of(path)
-        if kind not in KINDS:
+        if kind in ("", "RAW"):
             raise ValueError("it holds no such picture")
         if kind == "HEIF":
             _check_boxes(path)

@@ -1,9 +1,7 @@
 """Reading JSON: bounded and strict, whoever wrote it; :mod:`mitsvbrdf.io.files` writes it."""
 
-import functools
 import json
 import math
-import operator
 from pathlib import Path
 from typing import Any, TypedDict
 
@@ -13,7 +11,7 @@ from .files import read_regular
 
 MOST_BYTES = 2**28
 LARGEST = 2**63  # of whole numbers; longer ones overflow tensors and floats
-NUMBER = (int, float)  # in a shape, see :func:`shape_error`
+NUMBER = int | float  # in a shape, see :func:`shape_error`
 
 
 def load(path: Path, kind: type | tuple[type, ...] = dict, links: bool = True) -> Any:
@@ -64,7 +62,7 @@ def shape_error(value: object, shape: object, where: str = "") -> str:
     """Where a value departs from a shape, what was expected and what came; empty if it has the shape.
 
     A shape is a type that msgspec knows, ``list[X]`` and ``dict[str, X]`` among them. ``[X]`` is a list of X,
-    ``{str: X}`` an object of X, ``{"name": X, ...}`` an object with these keys, (X, Y) one of X and Y.
+    ``{str: X}`` an object of X, ``{"name": X, ...}`` an object with these keys.
     """
     try:
         msgspec.convert(value, _type_of(shape))
@@ -78,8 +76,6 @@ def _type_of(shape: Any) -> Any:
     """The type of a shape, for type checkers and msgspec."""
     if isinstance(shape, list):
         return list[_type_of(shape[0])]  # type: ignore[misc]
-    if isinstance(shape, tuple):
-        return functools.reduce(operator.or_, map(_type_of, shape))
     if isinstance(shape, dict):
         if list(shape) == [str]:
             return dict[str, _type_of(shape[str])]  # type: ignore[misc]

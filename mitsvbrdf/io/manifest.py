@@ -13,10 +13,9 @@ DERIVED = {"export": "export.json", "relight": "relight.json"}
 
 def own_files(out: Path) -> list[str]:
     """Names of the files that commands put into ``out``, as its manifest lists them; none without one."""
-    found = _manifest(out)
-    names = found.get("files") if isinstance(found, dict) else found  # earlier versions wrote only a list
-    names = names if isinstance(names, list) else []
-    return [name for name in names if stays_inside(name) and name != MANIFEST]
+    names = _manifest(out).get("files")
+    return [name for name in (names if isinstance(names, list) else ())
+            if stays_inside(name) and name != MANIFEST]
 
 
 def derived(out: Path) -> dict[str, list[str]]:
@@ -59,16 +58,16 @@ def is_ours(folder: Path) -> bool:
 
 def serial_of(folder: Path) -> int:
     """The serial number of a result; 0 where there is none, or no result."""
-    found = _manifest(folder)
-    serial = found.get("serial") if isinstance(found, dict) else 0
+    serial = _manifest(folder).get("serial")
     return serial if isinstance(serial, int) else 0
 
 
-def _manifest(folder: Path) -> object:
+def _manifest(folder: Path) -> dict:
     try:
-        return load(folder / MANIFEST, (dict, list), links=False)
+        found = load(folder / MANIFEST, (dict, list), links=False)
     except (OSError, ValueError):
-        return None
+        return {}
+    return {"files": found} if isinstance(found, list) else found  # earlier versions wrote only a list
 
 
 def derived_places(out: Path) -> list[str]:

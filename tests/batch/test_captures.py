@@ -40,27 +40,19 @@ def write_list(text, name="list.txt"):
     return name
 
 
-def test_a_capture_is_its_absolute_path(shots):
-    assert captures(["shots/wood"]) == [Entry(str(shots / "wood"))]
+def test_captures_are_absolute_paths_in_the_order_of_the_command_line(shots):
+    Path("link").symlink_to("shots/brick")
+    assert captures(["shots/wood", "link"]) == [Entry(str(shots / "wood")), Entry(str(shots / "brick"))]
 
 
 def test_a_folder_of_captures_is_those_right_inside_by_name(shots):
     assert found("shots") == [("a b",), ("brick",), ("text",), ("wood",)]
 
 
-def test_names_stand_in_the_order_of_the_command_line(shots):
-    assert found("shots/wood", "shots/brick") == [("wood",), ("brick",)]
-
-
 def test_a_json_file_is_a_capture_by_itself(shots):
     (shots / "a b/Some.JSON").touch()
     assert [entry.source for entry in captures(["shots/a b/capture.json", "shots/a b/Some.JSON"])] == [
         str(shots / "a b/capture.json"), str(shots / "a b/Some.JSON")]
-
-
-def test_a_link_is_what_it_points_to(shots):
-    Path("link").symlink_to("shots/wood")
-    assert found("link") == [("wood",)]
 
 
 def test_a_list_has_a_capture_and_its_own_options_a_line(shots):
@@ -77,12 +69,8 @@ def test_a_list_has_a_capture_and_its_own_options_a_line(shots):
     assert captures(["shots/list.txt"])[1].where == "line 4 of shots/list.txt"
 
 
-def test_an_absolute_path_in_a_list_is_itself(shots):
-    assert found(write_list(f"{shots}/wood\n")) == [("wood",)]
-
-
-def test_a_list_may_begin_with_the_mark_of_some_editors(shots):
-    Path("list.txt").write_bytes(b"\xef\xbb\xbfshots/wood\r\nshots/brick\r\n")
+def test_a_list_may_begin_with_the_mark_of_some_editors_and_have_absolute_paths(shots):
+    Path("list.txt").write_bytes(f"\ufeffshots/wood\r\n{shots}/brick\r\n".encode())
     assert found("list.txt") == [("wood",), ("brick",)]
 
 

@@ -23,11 +23,6 @@ def identity_of(capture, config=None, **options):
     return asked(capture, config, **options).identity
 
 
-def test_it_is_a_hash_and_the_same_each_time(capture):
-    assert len(identity_of(capture)) == 64 and int(identity_of(capture), 16)
-    assert identity_of(capture) == identity_of(capture)
-
-
 @pytest.mark.parametrize("change", [
     lambda folder: (folder / "target/01.png").write_bytes(b"twO"),
     lambda folder: (folder / "target/01.png").unlink(),

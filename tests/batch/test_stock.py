@@ -57,12 +57,6 @@ def test_what_is_done_is_not_done_again(results, shots):
     assert (names(found), found.done) == (["ash"], 2)
 
 
-def test_a_result_whose_end_nobody_saw_counts(results, shots):
-    for each in stock(results, *shots).work:
-        publish(results, result_of(each), each.folder)
-    assert stock(results, *shots).done == 3
-
-
 @pytest.mark.parametrize("harm, said", [
     (lambda folder: (folder / RECORD).unlink(), "its record is missing"),
     (lambda folder: (folder / RECORD).write_text("{"), "its record is missing"),

@@ -1,12 +1,15 @@
 """What `fit` says before it begins and when it has ended."""
 
+import importlib
+import shutil
 from types import SimpleNamespace
 
 import pytest
 import torch
 
 from mitsvbrdf import cli
-from mitsvbrdf.cli.fit import _say_result, with_flags
+from mitsvbrdf.cli.fit import PROCESS, _say_result, check_room, with_flags
+from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit.checkpoint import load_tensors
 
 ENDED = {"calibrated_rmse": None, "per_photo": [0.01], "rerender_rmse": 0.01,
@@ -56,3 +59,38 @@ def test_flags_that_the_fit_decides_unless_told():
             assert with_flags(["photos", flag, "-o", "out"]) == ["photos", f"--{name}", value, "-o", "out"]
     assert with_flags(["--exact", "False"]) == ["--exact", "False"]
     assert with_flags(["--no-neighbours"]) == ["--no-neighbours"]
+
+
+@pytest.fixture
+def machine(monkeypatch):
+    """Sets the GiB of memory and disk that are free, and the bytes of a texel in each."""
+    module = importlib.import_module("mitsvbrdf.cli.fit")
+
+    def has(memory, disk=1000.0, held=1, written=0):
+        monkeypatch.setattr(module, "memory_gib", lambda: (2 * memory, memory))
+        monkeypatch.setattr(shutil, "disk_usage", lambda path: SimpleNamespace(free=int(disk * 2**30)))
+        monkeypatch.setattr(module, "HELD", (held - 9, 1))
+        monkeypatch.setattr(module, "WRITTEN", (written - 9, 1))
+    return has
+
+
+def test_what_fits_into_memory_and_onto_the_disk_is_named(machine, tmp_path):
+    machine(PROCESS + 4, held=256, written=1000)
+    check_room(4096, 9, tmp_path / "new" / "out")  # 4 GiB in 4 GiB
+    machine(PROCESS + 3.9, held=256)
+    with pytest.raises(ConfigError, match="4.7 GiB of memory for 4096 px, got 4.6 GiB; "
+                                          "--resolution 4032 fits"):  # 63 times 64; 4044 is the root
+        check_room(4096, 9, tmp_path)
+    machine(1000, disk=2, written=512)
+    with pytest.raises(ConfigError, match="8.0 GiB of space on the disk of .*out for 4096 px, got 2.0 GiB; "
+                                          "--resolution 2048 fits"):
+        check_room(4096, 9, tmp_path / "out")
+    machine(0.1)
+    with pytest.raises(ConfigError, match="; free some"):
+        check_room(64, 9, tmp_path)
+
+
+def test_a_fit_without_room_says_it_in_one_line_and_leaves_nothing(machine, shots, tmp_path, capsys):
+    machine(PROCESS)
+    assert cli.main(["fit", str(shots), "-o", str(tmp_path / "out")]) == 2
+    assert capsys.readouterr().err.count("\n") == 1 and not list(tmp_path.iterdir())

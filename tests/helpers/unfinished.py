@@ -1,6 +1,13 @@
-"""An unfinished run of ours, as a killed command leaves it beside OUT."""
+"""Results of a few bytes, and an unfinished run of ours, as a killed command leaves it beside OUT."""
 
 from mitsvbrdf.io import files, results
+
+
+def make(out, *names, text="new", overwrite=False, **options):
+    """Make a result of these files, as a command does."""
+    with results.output_folder(out, overwrite, **options) as folder:
+        for name in names:
+            files.write_bytes(folder / name, text.encode())
 
 
 def unfinished(out, *names, content=b"state"):

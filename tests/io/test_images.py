@@ -61,11 +61,6 @@ def test_photos_shrink_in_bands_to_the_same_bits(size, side, kind, monkeypatch):
         assert np.array_equal(averaged(pixels, side), at_once)
 
 
-def exr(path, **options):
-    OpenEXR.File({"type": OpenEXR.scanlineimage} | options,
-                 {"RGB": np.zeros((4, 6, 3), np.float32)}).write(str(path))
-
-
 def test_an_exr_that_is_no_flat_picture_is_refused(tmp_path):
     part = {"RGB": np.zeros((4, 6, 3), np.float32)}
     parts = [OpenEXR.Part({"type": OpenEXR.scanlineimage, "name": name}, dict(part), name) for name in "ab"]
@@ -85,8 +80,7 @@ def test_an_exr_that_is_no_flat_picture_is_refused(tmp_path):
 
 
 def test_an_exr_of_absurd_size_is_refused_by_its_header(tmp_path):
-    exr(tmp_path / "x.exr")
-    data = (tmp_path / "x.exr").read_bytes()
+    data = written(tmp_path / "x.exr", {"RGB": np.zeros((4, 6, 3), np.float32)}).read_bytes()
     begin = data.index(b"dataWindow\0box2i\0") + 18 + 4
     wide = (data[:begin + 8] + (2**20).to_bytes(4, "little") + (2**20).to_bytes(4, "little")
             + data[begin + 16:])

@@ -65,8 +65,8 @@ def test_a_file_that_cannot_be_read_is_one_error(tmp_path, monkeypatch):
                           ({"a": [[1, "x"]]}, {"a": [[NUMBER]]}, "a[0][1] (expected int | float, got str)"),
                           ({"a": {"x": 1, "y": None}}, {"a": {str: int}}, "a[...] (expected int, got null)"),
                           ({"a": []}, {"a": {str: object}}, "a (expected object, got array)"),
-                          ({"a": 3}, {"a": (str, type(None))}, "a (expected str | null, got int)"),
-                          ({"a": None}, {"a": (dict, type(None))}, "")])
+                          ({"a": 3}, {"a": str | None}, "a (expected str | null, got int)"),
+                          ({"a": None}, {"a": dict | None}, "")])
 def test_where_a_value_does_not_fit(value, shape, said):
     assert shape_error(value, shape) == said
 

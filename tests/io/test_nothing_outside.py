@@ -4,7 +4,7 @@ import json
 import os
 
 import pytest
-from helpers.unfinished import unfinished
+from helpers.unfinished import make, unfinished
 
 from mitsvbrdf.errors import OutputError
 from mitsvbrdf.io import files, results
@@ -25,14 +25,8 @@ def outside(tmp_path):
 @pytest.fixture
 def out(tmp_path):
     """A result of an earlier command."""
-    make(tmp_path / "out", "old", "maps/a.exr", "report.html")
+    make(tmp_path / "out", "maps/a.exr", "report.html", text="old")
     return tmp_path / "out"
-
-
-def make(out, text, *names, overwrite=False, **options):
-    with results.output_folder(out, overwrite, **options) as folder:
-        for name in names:
-            files.write_bytes(folder / name, text.encode())
 
 
 def put(path, what, outside):
@@ -53,7 +47,7 @@ def test_links_and_pipes_where_a_result_is_made_are_not_followed(out, outside, n
     unfinished(out, "maps/half.exr")
     put(out.parent / name, what, outside)
     with pytest.raises(OutputError):
-        make(out, "new", "maps/a.exr", overwrite=True, resume=True)
+        make(out, "maps/a.exr", overwrite=True, resume=True)
     assert os.path.lexists(out.parent / name) and (out / "maps/a.exr").read_text() == "old"
 
 
@@ -61,7 +55,7 @@ def test_a_folder_of_others_with_the_name_of_an_unfinished_run_is_refused(out):
     files.write_bytes(out.parent / "out.partial/thesis.txt", b"mine")
     for options in ({}, {"resume": True}):
         with pytest.raises(OutputError, match=r"unfinished run of ours, or nothing, at .*out\.partial"):
-            make(out, "new", "maps/a.exr", overwrite=True, **options)
+            make(out, "maps/a.exr", overwrite=True, **options)
     assert (out.parent / "out.partial/thesis.txt").read_text() == "mine"
 
 
@@ -71,7 +65,7 @@ def test_a_folder_of_others_with_the_name_of_an_unfinished_run_is_refused(out):
 def test_links_and_pipes_where_a_result_goes_are_somebody_elses(out, outside, name, what, options):
     put(out / name, what, outside)
     with pytest.raises(OutputError):
-        make(out, "new", "maps/a.exr", "report.html", **options)
+        make(out, "maps/a.exr", "report.html", **options)
     assert (out / name).is_symlink() or (out / name).is_fifo()
 
 
@@ -88,15 +82,15 @@ def test_a_manifest_deletes_nothing_outside(tmp_path, outside, manifest):
         (out / name).symlink_to(outside / "maps" if name != "linked" else outside)
     (out / results.MANIFEST).write_text(json.dumps(manifest).replace("{outside}", str(outside)))
     with pytest.raises(OutputError, match="with deep/maps, linked, maps; move"):
-        make(out, "new", "one", overwrite=True)
-    make(out, "new", "one", add=True)
+        make(out, "one", overwrite=True)
+    make(out, "one", add=True)
     assert all((out / name).is_symlink() for name in ("maps", "linked", "deep/maps"))
 
 
 def test_a_manifest_nested_without_end_is_none(out):
     (out / results.MANIFEST).write_text("[" * 100_000)
     with pytest.raises(OutputError, match="with maps/a.exr, report.html; move"):
-        make(out, "new", "one", overwrite=True)
+        make(out, "one", overwrite=True)
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root can give files away")
@@ -105,8 +99,8 @@ def test_files_of_another_user_are_not_gone_on_with(out, name):
     partial = unfinished(out, results.CHECKPOINT)
     os.chown(partial / name, 12345, 12345)
     with pytest.raises(OutputError, match="of user 12345"):
-        make(out, "new", "maps/a.exr", overwrite=True, resume=True)
+        make(out, "maps/a.exr", overwrite=True, resume=True)
     assert (out / "maps/a.exr").read_text() == "old"
     os.chown(out, 12345, 12345)  # whose folder it is may go on in it, and so may we
-    make(out, "new", "maps/a.exr", overwrite=True, resume=True)
+    make(out, "maps/a.exr", overwrite=True, resume=True)
     assert (out / "maps/a.exr").read_text() == "new"

@@ -6,19 +6,13 @@ import signal
 import threading
 
 import pytest
-from helpers.unfinished import unfinished
+from helpers.unfinished import make, unfinished
 
 from mitsvbrdf.errors import OutputError
 from mitsvbrdf.io import files, manifest, results
 from mitsvbrdf.relight import frames
 
 EXPORT, RELIGHT = ("gltf/export.json", "gltf/material.glb", "preview.png"), ("relight.json", "sphere.png")
-
-
-def make(out, *names, text="new", overwrite=False, **options):
-    with results.output_folder(out, overwrite, **options) as folder:
-        for name in names:
-            files.write_bytes(folder / name, text.encode())
 
 
 def there(out):

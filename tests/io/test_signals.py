@@ -122,18 +122,14 @@ def test_ctrl_c_while_mitsuba_makes_a_plugin_ends_with_130(capsys):
 
 def test_the_signal_that_ends_more_comes_first():
     came = []
-    before = {number: signal.signal(number, lambda number, _: came.append(number))
-              for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        with deferred_signals():
-            signal.raise_signal(signal.SIGINT)
-            signal.raise_signal(signal.SIGTERM)
-            assert not came
-        assert came == [signal.SIGTERM, signal.SIGINT]
-        with pytest.raises(OSError, match="full"), deferred_signals():
-            signal.raise_signal(signal.SIGINT)
-            raise OSError("full")
-        assert len(came) == 2  # the failure says more
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda number, _: came.append(number))
+    with deferred_signals():
+        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(signal.SIGTERM)
+        assert not came
+    assert came == [signal.SIGTERM, signal.SIGINT]
+    with pytest.raises(OSError, match="full"), deferred_signals():
+        signal.raise_signal(signal.SIGINT)
+        raise OSError("full")
+    assert len(came) == 2  # the failure says more
