@@ -57,8 +57,8 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
         raise CaptureError("photos that show something", "a mask that hides all pixels", "check the mask")
     stated = capture.notes
     task = fit_task(capture, renderer, config)
-    capture, method = task.capture, make_method(task)
-    loop = Loop(method, capture, renderer, config, checkpoint, report, Live(live) if live else None)
+    method = make_method(task)
+    loop = Loop(method, checkpoint, report, Live(live) if live else None)
     if resume:
         loop.resume(resume)
     stopped = loop.run()
@@ -88,7 +88,7 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
     config = replace(config, preset="paper-one-stage",
                      iterations=config.iterations or (None if config.budget else 10_000))
     one = capture.pick(capture.index[:1])
-    Loop(make_method(FitTask(one, renderer, config)), one, renderer, config, checkpoint, report).run()
+    Loop(make_method(FitTask(one, renderer, config)), checkpoint, report).run()
 
 
 def make_method(task: FitTask[Any]) -> Method:

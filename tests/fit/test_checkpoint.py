@@ -52,9 +52,8 @@ def test_what_is_no_file_is_refused(tmp_path):
 
 
 def loop_of(capture):
-    config = DirectConfig(iterations=2)
-    return Loop(make_method(FitTask(capture, ANALYTIC, config, torch.full((SIDE, SIDE, 3), 0.2))), capture,
-                ANALYTIC, config)
+    return Loop(make_method(FitTask(capture, ANALYTIC, DirectConfig(iterations=2),
+                                    torch.full((SIDE, SIDE, 3), 0.2))))
 
 
 def test_a_state_of_another_fit_is_one_error(leather, tmp_path):

@@ -48,6 +48,10 @@ def with_limits(config, **limits):
     return type(config)(**{**vars(config), **limits})
 
 
+def loop_of(capture, config):
+    return Loop(make_method(FitTask(capture, ANALYTIC, config, torch.full((32, 32, 3), 0.3))))
+
+
 @pytest.mark.parametrize("method", SMALL)
 @pytest.mark.parametrize("bsdf", CHANNELS)
 def test_every_method_through_mitsuba(method, bsdf, leather):
@@ -106,8 +110,7 @@ def test_resume_is_bit_equal(method, tmp_path, monkeypatch):
 
     # A run that dies at iteration 20 with its last checkpoint from an earlier one, and one that goes on from
     # there.
-    method = make_method(FitTask(capture, renderer, config, whole.guess))
-    loop = Loop(method, capture, renderer, config, tmp_path / "c.safetensors")
+    loop = Loop(make_method(FitTask(capture, renderer, config, whole.guess)), tmp_path / "c.safetensors")
     step = loop.method.step
 
     def saving_step(progress):
@@ -146,9 +149,7 @@ def test_ctrl_c_keeps_the_best_result(capture, tmp_path):
 
 
 def test_budget_in_seconds(capture):
-    renderer, config = ANALYTIC, DirectConfig(budget=1.0)
-    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture,
-                renderer, config)
+    loop = loop_of(capture, DirectConfig(budget=1.0))
     # The last measurement may be a moment older than the end of the budget.
     assert loop.run() == "budget" and loop.seconds >= 1.0 >= loop.trace[-2]["seconds"]
 
@@ -157,9 +158,7 @@ def test_budget_in_seconds(capture):
 def test_step_sizes_are_cut_until_the_fit_stays_finite(method, capture):
     # Steps fail until the step size is below an eighth: it has to be cut four times, also when resumed off
     # the beat.
-    renderer, config = ANALYTIC, with_limits(SMALL[method], iterations=3)
-    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture,
-                renderer, config)
+    loop = loop_of(capture, with_limits(SMALL[method], iterations=3))
     loop.iteration = 1
     step, cut, cuts = loop.method.step, loop.method.cut_step, []
     loop.method.cut_step = lambda: (cut(), cuts.append(1))
@@ -185,9 +184,7 @@ def test_no_step_is_made_along_a_gradient_that_is_not_finite():
 
 
 def test_a_fit_that_stays_broken_ends_with_one_error(capture):
-    renderer, config = ANALYTIC, DirectConfig(iterations=30)
-    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture,
-                renderer, config)
+    loop = loop_of(capture, DirectConfig(iterations=30))
     loop.method.step = lambda progress: {"photometric": math.nan}
     with pytest.raises(ConfigError, match="stays finite"):
         loop.run()

@@ -95,7 +95,7 @@ def test_resuming_is_bit_equal_at_every_round(kind, two_stages, capture, tmp_pat
         monkeypatch.setattr(stages, "EXACT", 0.0)
     config = HierarchicalConfig(iterations=14)
     whole = fit_svbrdf(capture, MITSUBA, config)
-    loop = Loop(make_method(FitTask(capture, MITSUBA, config, whole.guess)), capture, MITSUBA, config)
+    loop = Loop(make_method(FitTask(capture, MITSUBA, config, whole.guess)))
     step, passed = loop.method.step, []
 
     def saving_step(progress):

@@ -110,7 +110,7 @@ def test_a_free_stage_that_was_cut_short_decides_nothing(black):
 def test_it_resumes_to_the_bit_and_goes_back(black, tmp_path):
     first = ROUNDS[Stage.ALONE]
     config = HierarchicalConfig(iterations=100)
-    loop = Loop(make_method(FitTask(black, MITSUBA, config)), black, MITSUBA, config)
+    loop = Loop(make_method(FitTask(black, MITSUBA, config)))
     step, before = loop.method.step, {}
 
     def saving_step(progress):
