@@ -2,6 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from typing import Generic
 
 import torch
@@ -11,6 +12,7 @@ from ..capture import Capture
 from ..material.maps import SVBRDF
 from ..render.needs import Omitted
 from ..views import Views
+from . import losses
 from .checkpoint import Held, load_parts, state_of
 from .task import Config, FitTask
 
@@ -33,6 +35,12 @@ class Method(ABC, Generic[Config]):
         measured = self.capture.measured
         return rendered if measured is None else torch.where(measured[..., None], rendered,
                                                              self.capture.linear.to(rendered))
+
+    def summed(self, own: Mapping[str, Callable[[], Tensor]]) -> tuple[Tensor, dict[str, float]]:
+        """The weighted sum of those losses that are not unused, and the value of each."""
+        terms = {name: loss() for name, loss in own.items() if name not in self.unused}
+        return (losses.weighted(terms, self.config.weights),
+                {name: float(value.detach()) for name, value in terms.items()})
 
     @abstractmethod
     def step(self, progress: float) -> dict[str, float]:
