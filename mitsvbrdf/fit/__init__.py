@@ -12,7 +12,7 @@ from ..render import Renderer
 from .config import DirectConfig, FitConfig, HierarchicalConfig, HybridConfig
 from .diagnose import diagnosed
 from .direct import Direct
-from .gan_config import GanConfig
+from .gan_config import FIRST_STAGE, GanConfig
 from .generator.gan import Gan
 from .generator.hybrid import Hybrid
 from .live import Live, LiveState
@@ -86,7 +86,7 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
                           + (f" from {config.pretrained}" if config.pretrained else ""),
                           'give GanConfig(preset="paper-one-stage", ...) without pretrained')
     config = replace(config, preset="paper-one-stage",
-                     iterations=config.iterations or (None if config.budget else 10_000))
+                     iterations=config.iterations or (None if config.budget else FIRST_STAGE))
     one = capture.pick(capture.index[:1])
     Loop(make_method(FitTask(one, renderer, config)), checkpoint, report).run()
 
