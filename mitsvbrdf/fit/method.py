@@ -17,8 +17,32 @@ from .checkpoint import Held, load_parts, state_of
 from .task import Config, FitTask
 
 
-class Method(ABC, Generic[Config]):
-    """One way to fit, advanced step by step. Its whole running state is named tensors."""
+class Trained:
+    """What is advanced step by step. Its whole running state is named tensors."""
+
+    pace = 1.0  # factor of all step sizes
+
+    @property
+    def parts(self) -> dict[str, Held]:
+        """What steps change, by name."""
+        return {}
+
+    def state(self) -> dict[str, Tensor]:
+        """Everything a later :meth:`load_state` needs to go on bit by bit."""
+        return state_of(self.parts) | {"pace": torch.tensor(self.pace, dtype=torch.float64)}
+
+    def load_state(self, state: dict[str, Tensor]) -> None:
+        """Continue from a saved state."""
+        load_parts(self.parts, state)
+        self.pace = float(state["pace"])
+
+    def cut_step(self) -> None:
+        """Halve the step sizes, after a step was undone."""
+        self.pace /= 2
+
+
+class Method(ABC, Trained, Generic[Config]):
+    """One way to fit."""
 
     measured_every = 10  # steps; a fixed count, so that a resumed run keeps the same best result
     latest_is_best = False  # whether the result is the last state, not the one that explains photos best
@@ -28,7 +52,6 @@ class Method(ABC, Generic[Config]):
         self.capture, self.renderer, self.config = task.capture, task.renderer, task.config
         self.views, self.fixed, self.unused = task.capture.views, task.fixed, task.unused
         self.fits_offset = task.why_no_flash_offset is None
-        self.pace = 1.0  # factor of all step sizes
 
     def compared(self, rendered: Tensor) -> Tensor:
         """Renderings (linear, N x R x R x 3); masked pixels get the photo's values, so they have no error."""
@@ -49,24 +72,6 @@ class Method(ABC, Generic[Config]):
     @abstractmethod
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The present material and views, detached."""
-
-    @property
-    def parts(self) -> dict[str, Held]:
-        """What steps change, by name."""
-        return {}
-
-    def state(self) -> dict[str, Tensor]:
-        """Everything a later :meth:`load_state` needs to go on bit by bit."""
-        return state_of(self.parts) | {"pace": torch.tensor(self.pace, dtype=torch.float64)}
-
-    def load_state(self, state: dict[str, Tensor]) -> None:
-        """Continue from a saved state."""
-        load_parts(self.parts, state)
-        self.pace = float(state["pace"])
-
-    def cut_step(self) -> None:
-        """Halve the step sizes, after a step was undone."""
-        self.pace /= 2
 
     def end(self) -> None:  # noqa: B027
         """Free what only further steps would need."""
