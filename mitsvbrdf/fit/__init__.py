@@ -12,7 +12,7 @@ from ..render import Renderer
 from .config import DirectConfig, FitConfig, HierarchicalConfig, HybridConfig
 from .diagnose import diagnosed
 from .direct import Direct
-from .gan_config import GanConfig
+from .gan_config import FIRST_STAGE, GanConfig
 from .generator.gan import Gan
 from .generator.hybrid import Hybrid
 from .live import Live, LiveState
@@ -57,8 +57,8 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
         raise CaptureError("photos that show something", "a mask that hides all pixels", "check the mask")
     stated = capture.notes
     task = fit_task(capture, renderer, config)
-    capture, method = task.capture, make_method(task)
-    loop = Loop(method, capture, renderer, config, checkpoint, report, Live(live) if live else None)
+    method = make_method(task)
+    loop = Loop(method, checkpoint, report, Live(live) if live else None)
     if resume:
         loop.resume(resume)
     stopped = loop.run()
@@ -86,9 +86,9 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
                           + (f" from {config.pretrained}" if config.pretrained else ""),
                           'give GanConfig(preset="paper-one-stage", ...) without pretrained')
     config = replace(config, preset="paper-one-stage",
-                     iterations=config.iterations or (None if config.budget else 10_000))
+                     iterations=config.iterations or (None if config.budget else FIRST_STAGE))
     one = capture.pick(capture.index[:1])
-    Loop(make_method(FitTask(one, renderer, config)), one, renderer, config, checkpoint, report).run()
+    Loop(make_method(FitTask(one, renderer, config)), checkpoint, report).run()
 
 
 def make_method(task: FitTask[Any]) -> Method:

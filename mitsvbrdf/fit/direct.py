@@ -31,14 +31,11 @@ class Direct(Method[DirectConfig]):
         self.optimizer.param_groups[0]["lr"] = self.pace * self.config.learning_rate * cosine(progress)
         svbrdf = to_svbrdf(self.config.bsdf, self.raw, self.fixed)
         rendered = self.compared(self.renderer.render(svbrdf, self.views))
-        terms = {"photometric": losses.photometric(rendered, self.capture.photos, self.capture.transfer)}
-        if "smooth" not in self.unused:
-            terms["smooth"] = losses.total_variation(svbrdf, self.edges, self.fixed)
-        if "flat" not in self.unused:
-            terms["flat"] = losses.tilt(svbrdf)
-        total = losses.weighted(terms, self.config.weights)
-        gradient = descend(total, self.optimizer)
-        return {name: float(value.detach()) for name, value in terms.items()} | {"gradient": gradient}
+        total, logged = self.summed({
+            "photometric": lambda: losses.photometric(rendered, self.capture.photos, self.capture.transfer),
+            "smooth": lambda: losses.total_variation(svbrdf, self.edges, self.fixed),
+            "flat": lambda: losses.tilt(svbrdf)})
+        return logged | {"gradient": descend(total, self.optimizer)}
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The present maps, and the views, which stay."""

@@ -31,6 +31,8 @@ PRESETS: dict[str, dict[str, Any]] = {
     "minutes": _MINUTES, "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
 # Settings that a game from solved maps uses; the other settings belong to the game from the guess.
 OF_SOLVED = "guess", "grey_specular", "start", "flash_offset"
+# The paper's iterations: on one picture, then on the target photos; or on these alone.
+FIRST_STAGE, SECOND_STAGE, ONE_STAGE = 10_000, 15_000, 20_000
 FEWEST = 4  # photos that a game from solved maps needs to hold patches out
 
 # Side of the coarsest phase, texels: below it a discriminator has so few patches that it only memorises the
@@ -186,23 +188,18 @@ class GanConfig(FitConfig):
         return "none" if self.of_paper else "inverse-square"
 
     @property
-    def stages(self) -> tuple[int, int]:
-        """The paper's iterations (on one picture, on the target photos)."""
-        return (0, 20_000) if self.preset == "paper-one-stage" else (10_000, 15_000)
-
-    @property
     def default_limit(self) -> dict:
         """Seconds for our preset; iterations for the paper's, less those that the checkpoint has had."""
         if not self.of_paper:
             return super().default_limit
-        first, second = self.stages
-        return {"iterations": second if self.pretrained else first + second}
+        first = FIRST_STAGE if self._one_picture_first else 0
+        return {"iterations": first + (ONE_STAGE if self.preset == "paper-one-stage" else SECOND_STAGE)}
 
     def phases(self, resolution: int) -> list[Phase]:
         """The phases of the training for maps of this side: the paper's stages, or growing resolutions."""
         if self._one_picture_first:
-            first, second = self.stages
-            return [Phase(first / (first + second), photos=1), Phase(second / (first + second))]
+            both = FIRST_STAGE + SECOND_STAGE
+            return [Phase(FIRST_STAGE / both, photos=1), Phase(SECOND_STAGE / both)]
         shares = {2: 0.2, 1: 0.3, 0: 0.5} if self.grow else {0: 1.0}
         kept = {halvings: share for halvings, share in shares.items() if not halvings
                 or resolution >> halvings >= SMALLEST}

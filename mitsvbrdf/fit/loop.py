@@ -9,16 +9,13 @@ from pathlib import Path
 
 from torch import Tensor
 
-from ..capture import Capture
 from ..errors import ConfigError, MitsvbrdfError, NotFiniteError
 from ..io.json import NUMBER, shape_error
 from ..io.signals import stop_signals
 from ..material.maps import SVBRDF, finite
 from ..measure.rerender import rerender_errors
-from ..render import Renderer
 from ..views import Views
 from .checkpoint import differing, fingerprints, load_tensors, part, save_tensors
-from .config import FitConfig
 from .live import SIDE, Live, LiveState
 from .method import Method
 from .methods import method_name
@@ -42,11 +39,10 @@ class Loop:
         live: shows the fit while it runs; None shows nothing.
     """
 
-    def __init__(self, method: Method, capture: Capture, renderer: Renderer, config: FitConfig,
-                 checkpoint: Path | None = None, report: Callable[[dict, float], None] | None = None,
-                 live: Live | None = None) -> None:
-        self.method, self.capture, self.renderer = method, capture, renderer
-        self.config = config.limited(capture.resolution)
+    def __init__(self, method: Method, checkpoint: Path | None = None,
+                 report: Callable[[dict, float], None] | None = None, live: Live | None = None) -> None:
+        self.method, self.capture, self.renderer = method, method.capture, method.renderer
+        self.config = method.config.limited(self.capture.resolution)
         self.checkpoint, self.report, self.live = checkpoint, report, live
         self.iteration, self.seconds = 0, 0.0
         self.undone: list[dict] = []  # iteration and reason of each step taken back

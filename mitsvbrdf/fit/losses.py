@@ -1,7 +1,5 @@
 """The losses, each a plain function of tensors, unweighted."""
 
-import functools
-import operator
 from collections.abc import Collection, Mapping, Sequence
 from typing import Literal
 
@@ -37,7 +35,7 @@ def unused(weights: Mapping[str, float], bsdf: Bsdf, fixed: Collection[str]) -> 
 
 def weighted(terms: Mapping[str, Tensor], weights: Mapping[str, float]) -> Tensor:
     """The sum of losses, each times its weight."""
-    return functools.reduce(operator.add, (weights[name] * value for name, value in terms.items()))
+    return sum((weights[name] * value for name, value in terms.items()), torch.zeros(()))
 
 
 def photometric(rendered: Tensor, photos: Tensor, transfer: color.Transfer) -> Tensor:

@@ -2,6 +2,7 @@
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping
 from typing import Generic
 
 import torch
@@ -11,36 +12,15 @@ from ..capture import Capture
 from ..material.maps import SVBRDF
 from ..render.needs import Omitted
 from ..views import Views
+from . import losses
 from .checkpoint import Held, load_parts, state_of
 from .task import Config, FitTask
 
 
-class Method(ABC, Generic[Config]):
-    """One way to fit, advanced step by step. Its whole running state is named tensors."""
+class Trained:
+    """What is advanced step by step. Its whole running state is named tensors."""
 
-    measured_every = 10  # steps; a fixed count, so that a resumed run keeps the same best result
-    latest_is_best = False  # whether the result is the last state, not the one that explains photos best
-    ended = False  # whether no step follows: only the result is asked for
-
-    def __init__(self, task: FitTask[Config]) -> None:
-        self.capture, self.renderer, self.config = task.capture, task.renderer, task.config
-        self.views, self.fixed, self.unused = task.capture.views, task.fixed, task.unused
-        self.fits_offset = task.why_no_flash_offset is None
-        self.pace = 1.0  # factor of all step sizes
-
-    def compared(self, rendered: Tensor) -> Tensor:
-        """Renderings (linear, N x R x R x 3); masked pixels get the photo's values, so they have no error."""
-        measured = self.capture.measured
-        return rendered if measured is None else torch.where(measured[..., None], rendered,
-                                                             self.capture.linear.to(rendered))
-
-    @abstractmethod
-    def step(self, progress: float) -> dict[str, float]:
-        """One iteration at this share (0 to 1) of the run; returns the unweighted losses before it."""
-
-    @abstractmethod
-    def estimate(self) -> tuple[SVBRDF, Views]:
-        """The present material and views, detached."""
+    pace = 1.0  # factor of all step sizes
 
     @property
     def parts(self) -> dict[str, Held]:
@@ -59,6 +39,39 @@ class Method(ABC, Generic[Config]):
     def cut_step(self) -> None:
         """Halve the step sizes, after a step was undone."""
         self.pace /= 2
+
+
+class Method(ABC, Trained, Generic[Config]):
+    """One way to fit."""
+
+    measured_every = 10  # steps; a fixed count, so that a resumed run keeps the same best result
+    latest_is_best = False  # whether the result is the last state, not the one that explains photos best
+    ended = False  # whether no step follows: only the result is asked for
+
+    def __init__(self, task: FitTask[Config]) -> None:
+        self.capture, self.renderer, self.config = task.capture, task.renderer, task.config
+        self.views, self.fixed, self.unused = task.capture.views, task.fixed, task.unused
+        self.fits_offset = task.why_no_flash_offset is None
+
+    def compared(self, rendered: Tensor) -> Tensor:
+        """Renderings (linear, N x R x R x 3); masked pixels get the photo's values, so they have no error."""
+        measured = self.capture.measured
+        return rendered if measured is None else torch.where(measured[..., None], rendered,
+                                                             self.capture.linear.to(rendered))
+
+    def summed(self, own: Mapping[str, Callable[[], Tensor]]) -> tuple[Tensor, dict[str, float]]:
+        """The weighted sum of those losses that are not unused, and the value of each."""
+        terms = {name: loss() for name, loss in own.items() if name not in self.unused}
+        return (losses.weighted(terms, self.config.weights),
+                {name: float(value.detach()) for name, value in terms.items()})
+
+    @abstractmethod
+    def step(self, progress: float) -> dict[str, float]:
+        """One iteration at this share (0 to 1) of the run; returns the unweighted losses before it."""
+
+    @abstractmethod
+    def estimate(self) -> tuple[SVBRDF, Views]:
+        """The present material and views, detached."""
 
     def end(self) -> None:  # noqa: B027
         """Free what only further steps would need."""

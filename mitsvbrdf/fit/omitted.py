@@ -56,28 +56,22 @@ def explained(task: FitTask) -> tuple[list[Omitted], list[Omitted]]:
 
 def used(task: FitTask) -> list[tuple[str, str]]:
     """The networks that a fit trains, as (what, how): a generator and perhaps a discriminator, or none."""
-    config = task.config
+    config, weights = task.config, task.config.weights
     if isinstance(config, HybridConfig):
-        items = [("generator", "sees all photos; its maps are compared with each of them; width "
-                               f"{config.width}")]
-        verdicts = {"adversarial": config.adversarial}
+        does = f"sees all photos; its maps are compared with each of them; width {config.width}"
+        game = ""
     elif isinstance(config, GanConfig) and config.begins == "solved":
         if len(task.capture) < FEWEST or task.capture.resolution < PATCH:
             return []
-        items = [("generator", "changes solved maps within what photos leave open; width "
-                               f"{DetailConfig.width}")]
-        verdicts = {"adversarial": DetailConfig.adversarial}
+        does = f"changes solved maps within what photos leave open; width {DetailConfig.width}"
+        game = "; under novel lights"
     elif isinstance(config, GanConfig):
         sees = ("all photos" if config.generator != "two-stream"
                 else "the first of the pictures its maps are compared with")
-        items = [("generator", f"sees {sees}; width {config.width}")]
-        verdicts = {"adversarial": config.adversarial, "features": config.features}
+        does, game = f"sees {sees}; width {config.width}", f"; game {config.game}"
     else:
         return []
-    weights = [f"{losses.NAMES[name]}, weight {weight:g}" for name, weight in verdicts.items()
-               if name not in task.unused]
-    if weights:
-        game = f"; game {config.game}" if isinstance(config, GanConfig) else ""
-        game = "; under novel lights" if getattr(config, "begins", "") == "solved" else game
-        items.append(("discriminator", f"{' and '.join(weights)}{game}"))
-    return items
+    verdicts = [f"{losses.NAMES[name]}, weight {weights[name]:g}" for name in ("adversarial", "features")
+                if name in weights and name not in task.unused]
+    judged = [("discriminator", f"{' and '.join(verdicts)}{game}")] if verdicts else []
+    return [("generator", does), *judged]

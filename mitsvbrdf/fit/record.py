@@ -40,16 +40,22 @@ T = TypeVar("T")
 
 
 class Fact(Generic[T]):
-    """An attribute of a fit that is a field of its record; the default is for a record that lacks it."""
+    """An attribute of a fit that is a field of its record; the default is for a record that lacks it.
 
-    def __init__(self, default: Any = ...) -> None:
-        self.default = default
+    ``place``: names of the field and of what it is in, outermost first. Default: the attribute's own name.
+    """
+
+    def __init__(self, default: Any = ..., *place: str) -> None:
+        self.default, self.place = default, place
 
     def __set_name__(self, owner: type, name: str) -> None:
-        self.name = name
+        self.place = self.place or (name,)
 
     def __get__(self, fit: Any, owner: type | None = None) -> T:
-        return fit.record[self.name] if self.default is ... else fit.record.get(self.name, self.default)
+        inside, name = fit.record, self.place[-1]
+        for outer in self.place[:-1]:
+            inside = inside.get(outer, {})
+        return inside[name] if self.default is ... else inside.get(name, self.default)
 
 
 def record_in(folder: Path) -> dict:

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from .. import color
 from ..errors import MapsError, MitsvbrdfError
-from ..io import files, images
+from ..io import images
 from ..io.json import error_text
 from ..material.map_files import DETAIL, FORMER_DETAIL, MAP_FOLDERS, load_maps
 from ..material.maps import SVBRDF
@@ -59,6 +59,14 @@ class Fit:
     """The same error in stated views with the flash offset; None if these are ``views`` or none is stated."""
     calibration = Fact[dict]({})
     """What is known of the views and how surely; see :func:`mitsvbrdf.fit.diagnose.views_record`."""
+    detail_record = Fact[dict | None](None, "detail")
+    """Settings, seconds and errors of the plausible detail, or None."""
+    capture = Fact[str | None](None, "capture", "name")
+    """Name of the folder of its photos; None when unknown."""
+    transfer = Fact[color.Transfer | None](None, "capture", "transfer")
+    """How its photos encode light; None when unknown."""
+    falloff = Fact[Falloff]("inverse-square", "views", "falloff")
+    """Falloff of its light; inverse-square when unknown."""
 
     def __repr__(self) -> str:
         return (f"Fit({self.method}, {self.svbrdf!r}, re-rendering RMSE {self.rerender_rmse:.4f}, "
@@ -181,11 +189,6 @@ class Fit:
         """``iteration`` and ``reason`` of each step that made something non-finite and was taken back."""
         return tuple(self.record["undone"])
 
-    @property
-    def detail_record(self) -> dict | None:
-        """Settings, seconds and errors of the plausible detail, or None."""
-        return self.record.get("detail")
-
     @cached_property
     def per_photo(self) -> list[float]:
         """The error of each photo."""
@@ -207,16 +210,6 @@ class Fit:
         return tuple(self.record["capture"]["photos"]) if self.record else ()
 
     @cached_property
-    def capture(self) -> str | None:
-        """Name of the folder of its photos; None when unknown."""
-        return self.record["capture"]["name"] if self.record else None
-
-    @cached_property
-    def transfer(self) -> color.Transfer | None:
-        """How its photos encode light; None when unknown."""
-        return self.record["capture"]["transfer"] if self.record else None
-
-    @cached_property
     def views(self) -> Views:
         """The views as fitted; their lights contain the flash offset; see :attr:`known_views`."""
         return Views.of(*(self.record["views"][name] for name in ("camera", "light", "intensity", "size",
@@ -226,11 +219,6 @@ class Fit:
     def known_views(self) -> Views | None:
         """The views as fitted; None for maps that came without a fit."""
         return self.views if "views" in self.known or "views" in self.record else None
-
-    @cached_property
-    def falloff(self) -> Falloff:
-        """Falloff of its light; inverse-square when unknown."""
-        return self.record.get("views", {}).get("falloff", "inverse-square")
 
     @cached_property
     def flash_offset(self) -> tuple[float, float] | None:
@@ -270,15 +258,6 @@ class Fit:
     def unchanged(self) -> bool:
         """Whether ``fit.json`` in its folder still says the same."""
         return record_in(self.path) == self.record
-
-
-def write_record(folder: Path, fit: Fit, command: dict, stored: Mapping[str, SVBRDF]) -> Fit:
-    """Write ``fit.json`` with the options of the command line in it, or raise OutputError.
-
-    Returns the fit as it is in that folder; ``stored`` holds its maps as :func:`save_maps` left them.
-    """
-    files.write_json(folder / FILE, record := fit.record | {"command": command})
-    return Fit(record, folder, {**fit.known, **stored})
 
 
 def _read(folder: Path) -> Fit:

@@ -192,7 +192,7 @@ class SolvedGan(Method[GanConfig]):
     def cut_step(self) -> None:
         """Halve the step sizes of the game."""
         if self.game:
-            self.game.pace /= 2
+            self.game.cut_step()
 
     @property
     def omitted(self) -> list[Omitted]:

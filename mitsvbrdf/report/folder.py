@@ -11,9 +11,11 @@ from ..capture import Capture
 from ..errors import OutputError
 from ..export.mitsuba import write_scene
 from ..fit.confidence import of_texels
-from ..fit.result import ALIKE, Fit, write_record
+from ..fit.record import FILE
+from ..fit.result import ALIKE, Fit
 from ..io import images
 from ..io.entry import entry
+from ..io.files import write_json
 from ..io.images import linear_writes
 from ..io.progress import say
 from ..io.results import output_folder
@@ -70,9 +72,10 @@ def write_fit_files(result: Fit, capture: Capture, out: Path, command: dict | No
         for name, spread in spreads.items():  # known at every k-th texel, interpolated between
             images.write_exr(out / "uncertainty" / folder / f"{name}.exr",
                              enlarged(of_texels(spread)[None], result.svbrdf.resolution)[0, ..., None])
-    written = write_record(out, result, command or {}, stored)
+    record = result.record | {"command": command or {}}
+    write_json(out / FILE, record)
     if pages:
-        _write_pages(result, written, capture, out, held_out)
+        _write_pages(result, Fit(record, out, {**result.known, **stored}), capture, out, held_out)
 
 
 def _write_renderings(result: Fit, capture: Capture, out: Path) -> Tensor:

@@ -15,7 +15,7 @@ SIDE = 16
 
 def loop_of(capture, config, renderer=ANALYTIC, **options):
     method = make_method(FitTask(capture, renderer, config, torch.full((SIDE, SIDE, 3), 0.2)))
-    return Loop(method, capture, renderer, config, **options)
+    return Loop(method, **options)
 
 
 def poison_parameters(loop, value=math.inf):

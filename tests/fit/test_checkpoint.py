@@ -19,27 +19,27 @@ STATE = {"weights": torch.arange(6.0).reshape(2, 3), "count": torch.tensor(7), "
          "half": torch.ones(3, dtype=torch.bfloat16), "flag": torch.tensor([True, False])}
 
 
-def test_what_is_saved_is_loaded(tmp_path):
+def test_what_is_saved_is_loaded_here_and_by_the_library_of_the_format(tmp_path):
     note = {"iteration": 3, "lowest": float("inf"), "trace": [{"seconds": 0.1}]}
     save_tensors(tmp_path / "c", STATE, note)
     tensors, found = load_tensors(tmp_path / "c")
-    assert found == note and set(tensors) == set(STATE)
-    assert all(torch.equal(tensors[name], value) and tensors[name].dtype == value.dtype
-               for name, value in STATE.items())
+    assert found == note
+    for loaded in (tensors, safetensors.torch.load_file(tmp_path / "c")):
+        assert set(loaded) == set(STATE) and all(
+            torch.equal(loaded[name], value) and loaded[name].dtype == value.dtype
+            for name, value in STATE.items())
 
 
-def test_the_library_of_the_format_reads_it(tmp_path):
-    save_tensors(tmp_path / "c", STATE, {"iteration": 3})
-    found = safetensors.torch.load_file(tmp_path / "c")
-    assert all(torch.equal(found[name], value) for name, value in STATE.items())
-
-
-def test_every_bit_that_turns_over_is_seen(tmp_path):
+def test_every_bit_that_turns_over_is_seen_and_every_end_that_lacks(tmp_path):
     save_tensors(tmp_path / "whole", STATE, {"iteration": 3})
     whole = (tmp_path / "whole").read_bytes()
     for place in np.random.default_rng(0).choice(8 * len(whole), 400, replace=False):
         data = bytearray(whole)
         data[place // 8] ^= 1 << place % 8
+        (tmp_path / "c").write_bytes(data)
+        with pytest.raises(ConfigError, match="a whole checkpoint"):
+            load_tensors(tmp_path / "c")
+    for data in (b"", b"not a checkpoint", whole[:100], whole[:-1]):
         (tmp_path / "c").write_bytes(data)
         with pytest.raises(ConfigError, match="a whole checkpoint"):
             load_tensors(tmp_path / "c")
@@ -53,9 +53,8 @@ def test_what_is_no_file_is_refused(tmp_path):
 
 
 def loop_of(capture):
-    config = DirectConfig(iterations=2)
-    return Loop(make_method(FitTask(capture, ANALYTIC, config, torch.full((SIDE, SIDE, 3), 0.2))), capture,
-                ANALYTIC, config)
+    return Loop(make_method(FitTask(capture, ANALYTIC, DirectConfig(iterations=2),
+                                    torch.full((SIDE, SIDE, 3), 0.2))))
 
 
 def test_another_variant_is_another_fit(leather):

@@ -1,7 +1,6 @@
 """The fits: they find a known material, resume bit by bit, survive Ctrl-C and steps that go wrong."""
 
 import dataclasses
-import json
 import math
 import signal
 
@@ -46,6 +45,10 @@ RESUMED = {name: (config, 32, 13) for name, config in SMALL.items()} | {
 
 def with_limits(config, **limits):
     return type(config)(**{**vars(config), **limits})
+
+
+def loop_of(capture, config):
+    return Loop(make_method(FitTask(capture, ANALYTIC, config, torch.full((32, 32, 3), 0.3))))
 
 
 @pytest.mark.parametrize("method", mostly_slow(SMALL, "direct", "hybrid", "gan"))
@@ -107,8 +110,7 @@ def test_resume_is_bit_equal(method, tmp_path, monkeypatch):
 
     # A run that dies at iteration 20 with its last checkpoint from an earlier one, and one that goes on from
     # there.
-    method = make_method(FitTask(capture, renderer, config, whole.guess))
-    loop = Loop(method, capture, renderer, config, tmp_path / "c.safetensors")
+    loop = Loop(make_method(FitTask(capture, renderer, config, whole.guess)), tmp_path / "c.safetensors")
     step = loop.method.step
 
     def saving_step(progress):
@@ -147,9 +149,7 @@ def test_ctrl_c_keeps_the_best_result(capture, tmp_path):
 
 
 def test_budget_in_seconds(capture):
-    renderer, config = ANALYTIC, DirectConfig(budget=1.0)
-    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture,
-                renderer, config)
+    loop = loop_of(capture, DirectConfig(budget=1.0))
     # The last measurement may be a moment older than the end of the budget.
     assert loop.run() == "budget" and loop.seconds >= 1.0 >= loop.trace[-2]["seconds"]
 
@@ -158,9 +158,7 @@ def test_budget_in_seconds(capture):
 def test_step_sizes_are_cut_until_the_fit_stays_finite(method, capture):
     # Steps fail until the step size is below an eighth: it has to be cut four times, also when resumed off
     # the beat.
-    renderer, config = ANALYTIC, with_limits(SMALL[method], iterations=3)
-    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture,
-                renderer, config)
+    loop = loop_of(capture, with_limits(SMALL[method], iterations=3))
     loop.iteration = 1
     step, cut, cuts = loop.method.step, loop.method.cut_step, []
     loop.method.cut_step = lambda: (cut(), cuts.append(1))
@@ -186,9 +184,7 @@ def test_no_step_is_made_along_a_gradient_that_is_not_finite():
 
 
 def test_a_fit_that_stays_broken_ends_with_one_error(capture):
-    renderer, config = ANALYTIC, DirectConfig(iterations=30)
-    loop = Loop(make_method(FitTask(capture, renderer, config, torch.full((32, 32, 3), 0.3))), capture,
-                renderer, config)
+    loop = loop_of(capture, DirectConfig(iterations=30))
     loop.method.step = lambda progress: {"photometric": math.nan}
     with pytest.raises(ConfigError, match="stays finite"):
         loop.run()
@@ -205,19 +201,6 @@ def test_pretrained_generator_is_taken_over(capture, tmp_path):
     assert [phase.photos for phase in method.phases] == [None]
     with pytest.raises(ConfigError, match="width 16"):
         make_method(FitTask(capture, renderer, with_limits(config, width=16), torch.zeros(32, 32, 3)))
-
-
-def test_checkpoints_hold_tensors_only(capture, tmp_path):
-    path = tmp_path / "c.safetensors"
-    fit_svbrdf(capture, ANALYTIC, DirectConfig(iterations=2), checkpoint=path)
-    raw = path.read_bytes()
-    # the whole format: a JSON header and raw numbers
-    header = json.loads(raw[8:8 + int.from_bytes(raw[:8], "little")])
-    assert all(set(v) == {"dtype", "shape", "data_offsets"} for k, v in header.items() if k != "__metadata__")
-    for bad in (b"", b"not a checkpoint", raw[:100]):
-        path.write_bytes(bad)
-        with pytest.raises(ConfigError, match="checkpoint"):
-            load_tensors(path)
 
 
 def test_resume_refuses_another_fit(capture, tmp_path):

@@ -4,7 +4,7 @@ import json
 
 import pytest
 import torch
-from helpers import ANALYTIC, GRID, photos_of
+from helpers import ANALYTIC, GRID
 from helpers.variants import mostly_slow
 
 from mitsvbrdf import cli, color
@@ -24,11 +24,6 @@ METHODS = {"hybrid": HybridConfig, "direct": DirectConfig, "gan": GanConfig}
 NARROW = {"hybrid": {"width": 4}, "direct": {}, "gan": {"width": 4, "preset": "paper-one-stage"}}
 
 
-@pytest.fixture(scope="module")
-def capture():
-    return photos_of(make_material("leather", SIDE))
-
-
 def config_of(method, **settings):
     return METHODS[method](**NARROW[method], **settings)
 
@@ -42,9 +37,9 @@ def unknowns(method):
 
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("renderer", ["analytic", "mitsuba"])
-def test_what_is_held_comes_out_as_it_went_in(method, renderer, capture):
+def test_what_is_held_comes_out_as_it_went_in(method, renderer, leather):
     fix = ("normal=flat", "specular=0.2,0.3,0.4", "roughness=0.35")
-    result = fit_svbrdf(capture, make_renderer(renderer), config_of(method, fix=fix, iterations=3))
+    result = fit_svbrdf(leather, make_renderer(renderer), config_of(method, fix=fix, iterations=3))
     wanted = {"normal": (0.0, 0.0, 1.0), "specular": (0.2, 0.3, 0.4), "roughness": (0.35,)}
     for name, value in wanted.items():
         assert torch.equal(result.svbrdf[name], torch.tensor(value).expand_as(result.svbrdf[name])), name
@@ -55,10 +50,10 @@ def test_what_is_held_comes_out_as_it_went_in(method, renderer, capture):
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_nothing_is_allocated_for_a_map_that_is_held(method, capture):
+def test_nothing_is_allocated_for_a_map_that_is_held(method, leather):
     renderer, guess = ANALYTIC, torch.full((SIDE, SIDE, 3), 0.2)
-    everything = unknowns(make_method(FitTask(capture, renderer, config_of(method), guess)))
-    made = make_method(FitTask(capture, renderer, config_of(method, fix=("normal=flat", "specular=0.04")),
+    everything = unknowns(make_method(FitTask(leather, renderer, config_of(method), guess)))
+    made = make_method(FitTask(leather, renderer, config_of(method, fix=("normal=flat", "specular=0.04")),
                                guess))
     channels = 3 if method == "gan" else 5  # two slopes and three specular levels, or one
     if method == "direct":
@@ -68,7 +63,7 @@ def test_nothing_is_allocated_for_a_map_that_is_held(method, capture):
     else:  # 4 x 4 deconvolutions of 2 x 4 channels, with a bias
         assert everything - unknowns(made) == channels * (8 * 16 + 1)
     # A whole stream held: its decoder is not there.
-    whole = make_method(FitTask(capture, renderer, config_of(method, fix=("normal=flat", "roughness=0.5")),
+    whole = make_method(FitTask(leather, renderer, config_of(method, fix=("normal=flat", "roughness=0.5")),
                                 guess))
     if method == "hybrid":
         assert len(whole.generator.up) == 1
@@ -80,22 +75,22 @@ def test_nothing_is_allocated_for_a_map_that_is_held(method, capture):
 
 
 @pytest.mark.parametrize("method", mostly_slow(METHODS, "direct"))
-def test_one_grey_specular_level(method, capture):
+def test_one_grey_specular_level(method, leather):
     settings = config_of(method, grey_specular=True, iterations=3)
-    made = make_method(FitTask(capture, make_renderer("analytic"), settings,
+    made = make_method(FitTask(leather, make_renderer("analytic"), settings,
                                torch.full((SIDE, SIDE, 3), 0.2)))
     seen = []
     render = made.renderer.render
     made.renderer.render = lambda svbrdf, views: (seen.append(svbrdf["specular"]), render(svbrdf, views))[1]
     made.step(0.0)
     assert seen[0].requires_grad and seen[0].stride(-1) == 0  # renderers see that one channel serves all
-    result = fit_svbrdf(capture, make_renderer("mitsuba"), settings)
+    result = fit_svbrdf(leather, make_renderer("mitsuba"), settings)
     specular = result.svbrdf["specular"]
     assert (specular == specular[..., :1]).all() and result.deviations["specular"].shape[-1] == 1
     assert "colour of the specular map" in dict(result.omitted)
 
 
-def test_the_search_for_a_start_keeps_to_what_is_held(capture):
+def test_the_search_for_a_start_keeps_to_what_is_held():
     # All is held at the truth but one map, of which the best constant is found: 0.4 on the grid; 0.2 by least
     # squares.
     views = GRID
@@ -165,7 +160,7 @@ def test_grey_specular_needs_a_specular_map():
     ({"fix": ("diffuse=0.2",)}, {"diffuse"}), ({"fix": ("normal=flat",)}, {"tilt"}),
     ({"fix": ("specular=0.04", "roughness=0.4")}, {"total_variation"}),
     ({"fix": ("base_color=0.2", "metallic=0.4"), "bsdf": "principled"}, {"diffuse"}), ({}, set()),])
-def test_losses_without_weight_or_subject_are_not_computed(settings, unused, capture, monkeypatch):
+def test_losses_without_weight_or_subject_are_not_computed(settings, unused, leather, monkeypatch):
     called = set()
 
     def counted(name, real):
@@ -173,12 +168,12 @@ def test_losses_without_weight_or_subject_are_not_computed(settings, unused, cap
 
     for name in ("total_variation", "tilt", "diffuse", "discriminator", "photometric"):
         monkeypatch.setattr(losses, name, counted(name, getattr(losses, name)))
-    made = make_method(FitTask(capture, ANALYTIC, HybridConfig(width=4, **settings),
+    made = make_method(FitTask(leather, ANALYTIC, HybridConfig(width=4, **settings),
                                torch.full((SIDE, SIDE, 3), 0.2)))
     made.step(0.0)
     assert called == {"total_variation", "tilt", "diffuse", "discriminator", "photometric"} - unused
     assert hasattr(made, "discriminator") == ("discriminator" not in unused)
-    said = dict(omitted_by(FitTask(capture, ANALYTIC, made.config)))
+    said = dict(omitted_by(FitTask(leather, ANALYTIC, made.config)))
     names = {"total_variation": "smooth", "tilt": "flat", "discriminator": "adversarial",
              "diffuse": "diffuse"}
     assert {losses.NAMES[names[loss]] for loss in unused} == set(losses.NAMES.values()) & set(said)
@@ -188,14 +183,14 @@ def test_losses_without_weight_or_subject_are_not_computed(settings, unused, cap
     (DirectConfig(fix=("diffuse=0.5", "normal=flat")), {"price on tilted normals"}),
     (GanConfig(fix=("diffuse=0.5", "normal=flat")), {"diffuse loss"}),
     (HybridConfig(fix=("diffuse=0.5", "normal=flat")), {"diffuse loss", "price on tilted normals"})])
-def test_only_losses_of_the_method_are_omitted(config, wanted, capture):
-    said = dict(omitted_by(FitTask(capture, ANALYTIC, config)))
+def test_only_losses_of_the_method_are_omitted(config, wanted, leather):
+    said = dict(omitted_by(FitTask(leather, ANALYTIC, config)))
     assert set(losses.NAMES.values()) & set(said) == wanted
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_kept_state_does_not_move(method, capture):
-    made = make_method(FitTask(capture, ANALYTIC, config_of(method), torch.full((SIDE, SIDE, 3), 0.2)))
+def test_a_kept_state_does_not_move(method, leather):
+    made = make_method(FitTask(leather, ANALYTIC, config_of(method), torch.full((SIDE, SIDE, 3), 0.2)))
     made.step(0.0)
     kept = made.state()
     before = {name: value.clone() for name, value in kept.items()}
@@ -218,14 +213,14 @@ def test_a_fit_that_looks_at_no_photo_is_refused():
             settings.check()
 
 
-def test_resume_asks_for_the_same_fixed_maps_not_the_same_names(capture, tmp_path):
+def test_resume_asks_for_the_same_fixed_maps_not_the_same_names(leather, tmp_path):
     save_maps(flat(SIDE, roughness=0.3), tmp_path / "a")
     save_maps(flat(SIDE, roughness=0.3), tmp_path / "b")
     path, renderer = tmp_path / "c.safetensors", ANALYTIC
 
     def fit(folder, iterations, **resume):
         fix = (f"roughness={tmp_path}/{folder}/roughness.exr",)
-        return fit_svbrdf(capture, renderer, DirectConfig(fix=fix, iterations=iterations), **resume)
+        return fit_svbrdf(leather, renderer, DirectConfig(fix=fix, iterations=iterations), **resume)
 
     fit("a", 2, checkpoint=path)
     fit("b", 4, resume=path)

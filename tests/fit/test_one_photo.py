@@ -16,7 +16,7 @@ from mitsvbrdf.fit.look_classes import LookClasses, Pixels, Posterior, material
 from mitsvbrdf.fit.one_photo import OnePhoto, nodes
 from mitsvbrdf.fit.repeats import repeats, unlike
 from mitsvbrdf.io.images import write_png
-from mitsvbrdf.material.maps import flat
+from mitsvbrdf.material.maps import SVBRDF, flat
 from mitsvbrdf.measure.metrics import map_rmse
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.synth import photograph
@@ -28,12 +28,24 @@ VIEW = Views.of([[0.0, 0.0, 1.2]], [[0.05, 0.0, 1.2]], math.pi * 1.44)
 def photo_of(diffuse, side=32):
     """A photo of a matt material, diffuse R x R."""
     maps = flat(side).maps | {"diffuse": diffuse[..., None].expand(-1, -1, 3).contiguous()}
-    return photograph(type(flat(side))("roughconductor", maps), VIEW, make_renderer("analytic"))
+    return photograph(SVBRDF("roughconductor", maps), VIEW, make_renderer("analytic"))
+
+
+def photo_of_noise(side=32):
+    """A photo of a material that repeats itself: random texels."""
+    return photo_of(0.2 + 0.3 * torch.rand(side, side, generator=torch.Generator().manual_seed(0)), side)
+
+
+def bumpy_metal(side):
+    """A metal without a diffuse colour, whose normals are random."""
+    slopes = 0.08 * torch.randn(side, side, 2, generator=torch.Generator().manual_seed(0))
+    normal = torch.nn.functional.normalize(torch.nn.functional.pad(slopes, (0, 1), value=1.0), dim=-1)
+    maps = flat(side, specular=0.35, roughness=0.28, diffuse=0.0).maps | {"normal": normal}
+    return SVBRDF("roughconductor", maps)
 
 
 def test_random_texels_repeat_and_a_ramp_does_not():
-    random = torch.rand(32, 32, generator=torch.Generator().manual_seed(0))
-    found = repeats(photo_of(0.2 + 0.3 * random))
+    found = repeats(photo_of_noise())
     # 64 ranks a block, each of variance 1/12: 1/64 of it lies between blocks by chance
     assert found.stationary and found.between == pytest.approx(1 / 64, abs=0.02)
     ramp = repeats(photo_of(torch.linspace(0.1, 0.6, 32).expand(32, 32)))
@@ -69,8 +81,7 @@ def test_nodes_are_standard_normal_numbers():
 def test_the_fit_goes_on_from_its_state_bit_by_bit(monkeypatch):
     monkeypatch.setattr("mitsvbrdf.fit.one_photo.TRIED", 2)
     monkeypatch.setattr("mitsvbrdf.fit.one_photo.ITERATIONS", 2)
-    random = torch.rand(32, 32, generator=torch.Generator().manual_seed(0))
-    task = FitTask(photo_of(0.2 + 0.3 * random), make_renderer("analytic"), HierarchicalConfig())
+    task = FitTask(photo_of_noise(), make_renderer("analytic"), HierarchicalConfig())
     whole, parts = make_method(task), make_method(task)
     assert isinstance(whole, OnePhoto)
     for step in range(12):
@@ -88,17 +99,14 @@ def test_the_fit_goes_on_from_its_state_bit_by_bit(monkeypatch):
 def test_the_start_that_is_likeliest_after_a_second_descent_is_taken(monkeypatch):
     costs = iter((5, 3, 4, 9, math.nan, 7, 6, 3, 2, 2.5, 0))  # starts 1, 2 and 0 descend once more
     monkeypatch.setattr(OnePhoto, "_descents", lambda *_: next(costs))
-    random = torch.rand(32, 32, generator=torch.Generator().manual_seed(0))
-    method = make_method(FitTask(photo_of(0.2 + 0.3 * random), make_renderer("analytic"),
-                                 HierarchicalConfig()))
+    method = make_method(FitTask(photo_of_noise(), make_renderer("analytic"), HierarchicalConfig()))
     starts = method.tried.clone()
     assert all(math.isfinite(method.step(0.0)["cost"]) for _ in range(11))  # else the loop takes all back
     assert torch.equal(method.numbers, starts[2]) and not torch.equal(starts[2], starts[1])
 
 
 def test_asked_for_or_not_the_method_follows(tmp_path):
-    random = torch.rand(32, 32, generator=torch.Generator().manual_seed(0))
-    photo, renderer = photo_of(0.2 + 0.3 * random), make_renderer("analytic")
+    photo, renderer = photo_of_noise(), make_renderer("analytic")
     assert not FitTask(photo, renderer, HierarchicalConfig(stationary=False)).repeats.stationary
     for config in (HierarchicalConfig(fix=("roughness=0.5",)), HierarchicalConfig(bsdf="principled")):
         assert FitTask(photo, renderer, config).repeats is None
@@ -109,8 +117,7 @@ def test_asked_for_or_not_the_method_follows(tmp_path):
 def test_gan_has_no_game_of_one_photo_and_ends_with_its_looks(monkeypatch):
     monkeypatch.setattr("mitsvbrdf.fit.one_photo.TRIED", 2)
     monkeypatch.setattr("mitsvbrdf.fit.one_photo.ITERATIONS", 2)
-    random = torch.rand(32, 32, generator=torch.Generator().manual_seed(0))
-    photo, renderer = photo_of(0.2 + 0.3 * random), make_renderer("mitsuba")
+    photo, renderer = photo_of_noise(), make_renderer("mitsuba")
     looks, gan = (fit_svbrdf(photo, renderer, config(iterations=4))
                   for config in (HierarchicalConfig, GanConfig))
     assert all(torch.equal(value, gan.svbrdf[name]) for name, value in looks.svbrdf.maps.items())
@@ -132,8 +139,7 @@ def test_a_photo_is_rendered_from_where_the_fit_found_the_camera(tmp_path):
                                     DirectConfig(iterations=1)])
 def test_what_one_photo_hardly_tells_is_said_once(config, monkeypatch):
     monkeypatch.setattr("mitsvbrdf.fit.one_photo.TRIED", 1)
-    random = torch.rand(32, 32, generator=torch.Generator().manual_seed(0))
-    said = fit_svbrdf(photo_of(0.2 + 0.3 * random), make_renderer("analytic"), config).warnings
+    said = fit_svbrdf(photo_of_noise(), make_renderer("analytic"), config).warnings
     assert sum("one photo" in warning for warning in said) == 1
 
 
@@ -160,10 +166,7 @@ def test_texels_that_are_alike_everywhere_are_even_however_few_are_drawn(monkeyp
 @pytest.mark.slow
 def test_a_metal_of_which_one_photo_is_clipped_stays_black():
     """The tail of its highlight tells its level; a diffuse colour explains that nearly as well."""
-    slopes = 0.08 * torch.randn(48, 48, 2, generator=torch.Generator().manual_seed(0))
-    normal = torch.nn.functional.normalize(torch.nn.functional.pad(slopes, (0, 1), value=1.0), dim=-1)
-    truth = flat(48, specular=0.35, roughness=0.28, diffuse=0.0)
-    truth = type(truth)("roughconductor", dict(truth.maps) | {"normal": normal})
+    truth = bumpy_metal(48)
     photo = photograph(truth, VIEW, make_renderer("analytic"))
     assert (photo.photos == 1).float().mean() > 0.01
     config = HierarchicalConfig(stationary=True, budget=1200)  # so that a busy machine tries all starts
@@ -194,8 +197,8 @@ def test_the_likelihood_is_a_density_of_what_the_photo_shows(power):
 def test_lobes_are_as_wide_as_the_photo_asks_for(misses, taken, monkeypatch):
     told = iter(misses)
     monkeypatch.setattr("mitsvbrdf.fit.one_photo.unlike", lambda *_: next(told))
-    photo = photo_of(0.2 + 0.3 * torch.rand(8, 8, generator=torch.Generator().manual_seed(0)), 8)
-    method = make_method(FitTask(photo, make_renderer("analytic"), HierarchicalConfig(stationary=True)))
+    method = make_method(FitTask(photo_of_noise(8), make_renderer("analytic"),
+                                 HierarchicalConfig(stationary=True)))
     method.done_steps = 10**6
     texels, lost = torch.full((64, 10), 0.5), torch.full((64,), 0.01)
     found = method._widened(texels, lost, VIEW)["roughness"]
@@ -207,7 +210,7 @@ def test_place_and_height_of_the_flash_come_from_the_photo():
     random = 0.2 + 0.3 * torch.rand(64, 64, generator=torch.Generator().manual_seed(0))
     maps = dict(flat(64, roughness=0.4).maps) | {"diffuse": random[..., None].expand(-1, -1, 3).contiguous()}
     seen = Views.of([[0.12, -0.08, 0.7]], intensity=math.pi * 0.6)
-    shot = photograph(type(flat(8))("roughconductor", maps), seen, make_renderer("analytic"))
+    shot = photograph(SVBRDF("roughconductor", maps), seen, make_renderer("analytic"))
     alone = Capture(shot.photos, default_views(1), "gamma2.2", calibration="none")
     assert repeats(alone).stationary and not repeats(alone.but(calibration="given")).stationary
     found = fit_svbrdf(alone, make_renderer("analytic"), HierarchicalConfig()).views.camera[0]
@@ -216,9 +219,8 @@ def test_place_and_height_of_the_flash_come_from_the_photo():
 
 def test_maps_laid_elsewhere_are_compared_with_the_photo():
     """Equal texels give the photo again; of half the albedo, each pixel is 0.5^(1/2.2) of it."""
-    renderer, matt = make_renderer("analytic"), flat(32, specular=0.0)
-    grey, dim = (type(matt)("roughconductor", dict(matt.maps) | {"diffuse": torch.full((32, 32, 3), level)})
-                 for level in (0.4, 0.2))
+    renderer = make_renderer("analytic")
+    grey, dim = (flat(32, specular=0.0, diffuse=level) for level in (0.4, 0.2))
     photo = Capture(to_display(renderer.render(grey, VIEW), "gamma2.2"), VIEW, "gamma2.2")
     assert unlike(grey, VIEW, photo, renderer) < 1e-6
     less = (1 - 0.5 ** (1 / 2.2)) * float(photo.photos.square().mean().sqrt())
@@ -238,11 +240,7 @@ def test_lobes_take_the_slopes_that_means_lack():
 
 def test_few_nodes_tell_the_likelihood_of_a_narrow_lobe():
     """Many nodes are the integral, whatever a node stands for."""
-    slopes = 0.08 * torch.randn(16, 16, 2, generator=torch.Generator().manual_seed(0))
-    normal = torch.nn.functional.normalize(torch.nn.functional.pad(slopes, (0, 1), value=1.0), dim=-1)
-    truth = flat(16, specular=0.35, roughness=0.28, diffuse=0.0)
-    truth = type(truth)("roughconductor", dict(truth.maps) | {"normal": normal})
-    pixels = Pixels.of(photograph(truth, VIEW, make_renderer("analytic")))
+    pixels = Pixels.of(photograph(bumpy_metal(16), VIEW, make_renderer("analytic")))
     classes = LookClasses(LookClasses.start(torch.full((5, 3), 0.002), 0.28, 0.35, [0.08] * 5), VIEW, True)
     few, many = (float(classes.posterior(pixels, nodes(len(pixels.at), count, 0)).likely.flatten(1)
                        .logsumexp(1).mean()) for count in (16, 2048))

@@ -15,7 +15,7 @@ def method_of(capture, **settings):
 
 def saving_loop(capture, config, folder):
     """A loop that saves a checkpoint before each step; and stage and state before it, by iteration."""
-    loop = Loop(make_method(FitTask(capture, MITSUBA, config)), capture, MITSUBA, config)
+    loop = Loop(make_method(FitTask(capture, MITSUBA, config)))
     step, before = loop.method.step, {}
 
     def saving_step(progress):

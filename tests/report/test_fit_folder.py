@@ -117,7 +117,7 @@ def test_a_fit_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     write_fit(found, shots, out, pages=False)
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     with monkeypatch.context() as patch:
-        patch.setattr("mitsvbrdf.report.folder.write_record", lambda *_: 1 / 0)
+        patch.setattr("mitsvbrdf.report.folder.write_json", lambda *_: 1 / 0)
         for place in (out, tmp_path / "new"):
             with pytest.raises(ZeroDivisionError):
                 write_fit(fixed, shots, place, pages=False, overwrite=True)

@@ -26,9 +26,9 @@ from ...measure.rerender import rerender
 from ...render import Renderer
 from ...views import Views, geometry
 from .. import losses
-from ..checkpoint import Held, load_parts, state_of
+from ..checkpoint import Held
 from ..detail_config import DetailConfig
-from ..method import cosine, descend
+from ..method import Trained, cosine, descend
 from ..parameters import STREAMS
 from ..result import Fit
 from .bounded import Bounded
@@ -86,7 +86,7 @@ def why_not(result: Fit) -> str | None:
             if still and not result.record.get("repeats", {}).get("stationary") else None)
 
 
-class DetailTraining:
+class DetailTraining(Trained):
     """Steps of the training, from solved maps that may change within their bounds."""
 
     def __init__(self, bounded: Bounded, capture: Capture, renderer: Renderer, config: DetailConfig) -> None:
@@ -95,7 +95,7 @@ class DetailTraining:
         size = capture.resolution
         self.side = max(min(size, 2 * PATCH), round(config.crop * size))
         self.random = torch.Generator().manual_seed(config.seed)
-        bounds, self.pace = bounded.bounds, 1.0  # factor of both step sizes
+        bounds = bounded.bounds
         condition = [2 * numbers_of(name, self.solved[name]) - 1 for name in bounds] + list(bounds.values())
         streams = tuple({name: bounds[name].shape[-1] for name in stream if name in bounds}
                         for stream in STREAMS[self.solved.bsdf])
@@ -169,17 +169,9 @@ class DetailTraining:
         logged |= {name: float(value.detach()) for name, value in terms.items()}
         return logged | {"gradient": descend(total, self.optimizer)}
 
-    def state(self) -> dict[str, Tensor]:
-        """Weights and averages of the networks, step sizes and random numbers."""
-        return state_of(self._parts) | {"pace": torch.tensor(self.pace, dtype=torch.float64)}
-
-    def load_state(self, state: dict[str, Tensor]) -> None:
-        """Go on from a saved state."""
-        load_parts(self._parts, state)
-        self.pace = float(state["pace"])
-
     @property
-    def _parts(self) -> dict[str, Held]:
+    def parts(self) -> dict[str, Held]:
+        """Random numbers, and the networks with their averages."""
         return {"random": self.random, "generator": self.generator, "slow": self.optimizer,
                 "judge": self.discriminator, "fast": self.adversary}
 

@@ -8,7 +8,6 @@ stage takes over only the generator's weights.
 """
 
 import itertools
-from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
@@ -101,26 +100,21 @@ class Gan(Method[GanConfig]):
             self._begin(present, change)
 
     def _substep(self, pictures: Pictures, first: bool, logged: dict[str, float]) -> None:
-        config, plays = self.config, not {"adversarial", "features"} <= set(self.unused)
-        svbrdf = self._material(pictures, first)
-        total = torch.zeros(())
-        if plays:
+        svbrdf, total = self._material(pictures, first), torch.zeros(())
+        if not {"adversarial", "features"} <= set(self.unused):
             fake, told = self._rendered(svbrdf, pictures), self._told(pictures)
             if first:
                 logged["discriminator"] = self.discriminator.learn(
-                    pictures.shown, fake.detach(), self.optimizers["judge"], config.game, told)
+                    pictures.shown, fake.detach(), self.optimizers["judge"], self.config.game, told)
             with frozen(self.discriminator):
-                terms = self._verdict(pictures.shown, fake, told)
-                total = losses.weighted(terms, config.weights)
-            logged |= {name: float(value.detach()) for name, value in terms.items()}
+                total, values = self._verdict(pictures.shown, fake, told)
+            logged |= values
         if first:
             guess = self.scale.guess[pictures.window]
-            own: dict[str, Callable[[], Tensor]] = {"diffuse": lambda: losses.diffuse(svbrdf, guess),
-                "smooth": lambda: losses.total_variation(svbrdf, losses.edge_weights(guess), self.fixed)}
-            terms = {name: loss() for name, loss in own.items() if name not in self.unused}
-            if terms:
-                total = total + losses.weighted(terms, config.weights)
-            logged |= {name: float(value.detach()) for name, value in terms.items()}
+            own, values = self.summed({"diffuse": lambda: losses.diffuse(svbrdf, guess),
+                "smooth": lambda: losses.total_variation(svbrdf, losses.edge_weights(guess), self.fixed)})
+            total = total + own
+            logged |= values
         if total.requires_grad:
             moved = [name for name in ("fast", "slow", "flash") if name in self.optimizers
                      and (first or name == "fast")]
@@ -155,15 +149,14 @@ class Gan(Method[GanConfig]):
         """The photo that the discriminator sees beside a picture; None where it sees none."""
         return pictures.shown * 2 - 1 if self.config.paired else None
 
-    def _verdict(self, shown: Tensor, fake: Tensor, told: Tensor | None) -> dict[str, Tensor]:
-        """The generator's losses, from the discriminator's output for the renderings."""
+    def _verdict(self, shown: Tensor, fake: Tensor, told: Tensor | None) -> tuple[Tensor, dict[str, float]]:
+        """Sum and values of the generator's losses, from the discriminator's output for the renderings."""
         seen = self.discriminator.activations(fake, told)
         with torch.no_grad():
             real = (self.discriminator.activations(shown, told)
                     if self.config.game == "relativistic" or "features" not in self.unused else seen)
-        own = {"adversarial": lambda: losses.adversarial(real[-1], seen[-1], self.config.game),
-               "features": lambda: losses.features(real[:-1], seen[:-1])}
-        return {name: loss() for name, loss in own.items() if name not in self.unused}
+        return self.summed({"adversarial": lambda: losses.adversarial(real[-1], seen[-1], self.config.game),
+                            "features": lambda: losses.features(real[:-1], seen[:-1])})
 
     def _views(self) -> Views:
         return with_flash_at(self.views, self.offset) if self.fits_offset else self.views

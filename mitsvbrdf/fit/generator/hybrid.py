@@ -6,7 +6,6 @@ convolutional network fits what repeats and what has structure before it fits no
 image prior).
 """
 
-from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -69,15 +68,12 @@ class Hybrid(Method[HybridConfig]):
             logged["discriminator"] = self.discriminator.learn(real, fake.detach(), self.adversary)
             return losses.adversarial(real, self.discriminator.activations(fake)[-1])
 
-        own: dict[str, Callable[[], Tensor]] = {
+        total, values = self.summed({
             "photometric": lambda: losses.photometric(rendered, self.capture.photos, self.capture.transfer),
             "diffuse": lambda: losses.diffuse(svbrdf, self.guess),
             "smooth": lambda: losses.total_variation(svbrdf, self.edges, self.fixed),
-            "flat": lambda: losses.tilt(svbrdf), "adversarial": adversarial}
-        terms = {name: loss() for name, loss in own.items() if name not in self.unused}
-        total = losses.weighted(terms, self.config.weights)
-        logged["gradient"] = descend(total, self.optimizer)
-        return {name: float(value.detach()) for name, value in terms.items()} | logged
+            "flat": lambda: losses.tilt(svbrdf), "adversarial": adversarial})
+        return values | logged | {"gradient": descend(total, self.optimizer)}
 
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The maps that the generator makes now, and the views with the flash offset found."""
