@@ -7,7 +7,6 @@ is in memory. Of each photo, the rectified patch and a small copy of the whole a
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Literal, get_args
 
 import torch
@@ -94,18 +93,19 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
                           f"{depth_cm:g} cm", "measure how far it is, in cm")
     if reference not in get_args(Reference):
         raise ConfigError(f"a reference of {get_args(Reference)}", repr(reference), "choose one of these")
-    with noted(photos[0].path.parent if photos else Path()) as faults:
-        made = _in_stages(photos, sheet_cm, depth_cm, transfer, resolution, reference, report)
+    begun = of_one_camera(photos)
+    check_enough(*begun[:2])
+    with noted(photos[0].path.parent) as faults:
+        made = _in_stages(photos, begun, sheet_cm, depth_cm, transfer, resolution, reference, report)
     return replace(made, warnings=tuple(dict.fromkeys((*faults, *made.warnings))))
 
 
-def _in_stages(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float,
-               transfer: color.Transfer | None, resolution: int, reference: Reference,
-               report: Report) -> CaptureResult:
-    """The stages of :func:`make_capture`, whose arguments these are."""
+def _in_stages(photos: Sequence[Photo], begun: tuple[list[Photo], dict[str, str], list[str]],
+               sheet_cm: float | None, depth_cm: float, transfer: color.Transfer | None, resolution: int,
+               reference: Reference, report: Report) -> CaptureResult:
+    """The stages of :func:`make_capture`; ``begun`` is what :func:`of_one_camera` tells of the photos."""
     paper = None if sheet_cm is None else Sheet(sheet_cm).white
-    kept, rejected, notes = of_one_camera(photos)
-    check_enough(kept, rejected)
+    kept, rejected, notes = begun
     transfer = transfer or ("linear" if kept[0].linear else "srgb")
     fired = {photo.name: str(photo.exif["flash"]) for photo in photos if "flash" in photo.exif}
     qualities: dict[str, PhotoQuality] = {}

@@ -17,7 +17,7 @@ def result(resolution, photos=("IMG_1.jpg", "blurred[red].jpg", "IMG_2.jpg"), re
 
 
 def test_the_table_says_by_which_number_a_fit_calls_each_photo(capsys):
-    _print(result(1024))
+    _print(result(1024), [])
     rows = {cells[1].strip(): cells[2].strip() for line in capsys.readouterr().out.splitlines()
             if len(cells := line.split("│")) > 3}
     assert rows == {"IMG_1.jpg": "used as 00", "blurred[red].jpg": "blurred: 0.2", "IMG_2.jpg": "used as 01"}
