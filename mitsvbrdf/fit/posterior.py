@@ -113,7 +113,7 @@ class OwnPhotos:
         """The variance of the errors of equally bright pixels at the numbers ``x``."""
         capture = self.capture
         with torch.no_grad():
-            images = self.renderer.render(self.solver.svbrdf(x), capture.views)
+            images = self.renderer.render(self.solver.svbrdf(x), capture.views).to(x.dtype)
         error = color.encode(images, capture.transfer) - capture.photos
         free = (1 - len(self.names) / self.values.clamp_min(1)).clamp_min(LEAST_FREE)
         level = capture.photos.mean(dim=-1)

@@ -64,6 +64,13 @@ def test_every_method_through_mitsuba(method, bsdf, leather):
     assert "rerender_rmse" in result.trace[-1] and "diffuse" in result.trace[-1] or method == "direct"
 
 
+@pytest.mark.parametrize("method", mostly_slow(["hierarchical", *SMALL], "direct"))
+def test_every_method_through_float64(method, leather):
+    config = with_limits((SMALL | {"hierarchical": HierarchicalConfig()})[method], iterations=1)
+    result = fit_svbrdf(leather, make_renderer("analytic64"), config)
+    assert result.renderer == "analytic64" and math.isfinite(result.rerender_rmse)
+
+
 def test_direct_recovers_what_its_photos_show():
     # A rough material with relief, seen from nine sides: 150 steps take the diffuse error to 0.02 and the
     # normals' to 0.01 (measured 0.010 and 0.006); the start alone has 0.05 in the normals.
