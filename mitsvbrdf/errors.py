@@ -9,6 +9,7 @@ import os
 import sys
 import warnings
 from collections.abc import Callable, Iterator
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
@@ -72,20 +73,27 @@ def strict(wanted: bool = True) -> Iterator[None]:
             raise MitsvbrdfError("files without a fault", str(warning), "or leave --strict out") from None
 
 
+_notes: ContextVar[tuple[list[str], ...]] = ContextVar("_notes", default=())  # of :func:`noted`
+
+
+def warn_of(fault: str, path: Path | None = None, stacklevel: int = 2) -> None:
+    """Warn of a fault with an :class:`InputWarning`, which begins with the path. The note of it begins with
+    the name alone.
+    """
+    for notes in _notes.get():
+        notes.append(f"{Path(os.path.abspath(path)).name if path else ''}{fault}")
+    warnings.warn(f"{path or ''}{fault}", InputWarning, stacklevel=stacklevel + 1)
+
+
 @contextlib.contextmanager
-def noted(folder: Path) -> Iterator[list[str]]:
-    """Inside, the text of every :class:`InputWarning` is kept as well, without the path of this folder."""
-    texts: list[str] = []
-    with warnings.catch_warnings():
-        others = warnings.showwarning
-
-        def show(message: Warning | str, category: type[Warning], *place: Any, **more: Any) -> None:
-            if issubclass(category, InputWarning):
-                texts.append(str(message).replace(f"{folder}{os.sep}", "").replace(str(folder), folder.name))
-            others(message, category, *place, **more)
-
-        warnings.showwarning = show
-        yield texts
+def noted() -> Iterator[list[str]]:
+    """Inside, each fault that this thread warns of is kept as a note, without the path."""
+    notes: list[str] = []
+    token = _notes.set((*_notes.get(), notes))
+    try:
+        yield notes
+    finally:
+        _notes.reset(token)
 
 
 @contextlib.contextmanager

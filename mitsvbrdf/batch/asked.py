@@ -60,7 +60,8 @@ class Asked:
         else:
             files_of = capture_files(Path(source))
             contents = [[os.path.relpath(path, source), file_hash(path)] for path in files_of]
-        named = [[name, file_hash(Path(name))] for name in self.config.files if os.path.isfile(name)]
+        named = [[name, file_hash(path)] for name in self.config.files
+                 if (path := Path(self.entry.base, name)).is_file()]
         known = json.dumps([__version__, self.record, contents, named], sort_keys=True)
         return hashlib.sha256(known.encode()).hexdigest()
 
@@ -124,14 +125,19 @@ def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
     A capture that is named twice with the same options counts once.
     """
     stock, results, known = Stock(), library.results, library.materials
+    names, shown = set(results.names()), library.shown()
     wanted: dict[str, Material] = {}  # by identity
     for material in _materials(list(asked), report):
         if isinstance(material, OutputError):
             stock.unreadable += 1
             stock.notes.append(f"passed over: {material}")
-        elif (twin := wanted.setdefault(material.identity, material)).source != material.source:
+            continue
+        twin = wanted.setdefault(material.identity, material)
+        if material.folder in names and twin.folder not in names:
+            twin, material = material, twin
+            wanted[twin.identity] = twin
+        if twin.source != material.source:
             stock.notes.append(f"passed over: {material.source} has the photos and options of {twin.source}")
-    names, shown = set(results.names()), library.shown()
     for material in wanted.values():
         folder, before = material.folder, known.get(material.folder)
         if folder in names:
@@ -170,8 +176,8 @@ def _material(asked: Asked) -> Material | OutputError:
     try:
         source.encode()
         return Material(identity=asked.identity, name=name_of(source), source=source, asked=asked.record,
-                        words=asked.words, tags=list(asked.tags), date=now(), base=os.getcwd(),
-                        cost=asked.cost, limit=asked.limit)
+                        words=asked.words, tags=list(asked.tags), date=now(),
+                        base=asked.entry.base or os.getcwd(), cost=asked.cost, limit=asked.limit)
     except (OSError, UnicodeEncodeError) as error:  # no record can state such a name
         return OutputError("a capture that can be read, with a name in UTF-8", f"{source!r}: {error}",
                            "check your rights to it, and its name")

@@ -5,14 +5,13 @@ import os
 import re
 import shlex
 import tempfile
-import warnings
 from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
 from ..capture.photo import SUFFIXES
 from ..color import Transfer
-from ..errors import CaptureError, ConfigError, InputWarning, MitsvbrdfError
+from ..errors import CaptureError, ConfigError, MitsvbrdfError, warn_of
 from .stores import Store, is_url
 
 TOKEN = ".token"  # what a library is known by
@@ -26,7 +25,7 @@ class Entry(NamedTuple):
     source: str  # its absolute path, or its URL
     own: tuple[str, ...] = ()  # options on its line of a list, split into words
     where: str = ""  # list and line, for errors; empty for a name on the command line
-    base: str = ""  # the folder of the list, where paths in the options start
+    base: str = ""  # the folder where paths in the options start; empty: the current one
 
 
 @contextlib.contextmanager
@@ -143,9 +142,8 @@ def _captures_in(folder: Path) -> list[Path]:
         inside = [there for each in sorted(folder.iterdir()) if each.is_dir() and each.name[0] != "."
                   and (there := _capture_at(each))]
     if found and inside:
-        warnings.warn(f"{folder} is one capture, since photos lie right in it; the folders of photos inside "
-                      f"it are passed over: {', '.join(each.name for each in inside)}", InputWarning,
-                      stacklevel=2)
+        warn_of(" is one capture, since photos lie right in it; the folders of photos inside it are passed "
+                f"over: {', '.join(each.name for each in inside)}", folder)
     if found:
         return [found]
     if not inside:

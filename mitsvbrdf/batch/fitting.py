@@ -96,7 +96,7 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
 
     config, options = config_of(asked["config"]), FitOptions(**asked["options"])
     transfer = None if options.transfer == "auto" else options.transfer
-    with noted(capture) as faults:
+    with noted() as faults:
         made = rectified(capture, out / "capture", asked["sheet"], transfer, options.resolution)
         photos = read_capture(made, options.resolution, transfer=transfer if made == capture else None,
                               falloff=options.light(config))

@@ -1,8 +1,9 @@
 """What is fitted: photos of known materials, and real captures of which some photos are held out."""
 
+import hashlib
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -49,7 +50,7 @@ class KnownMaterial:
 
     @cached_property
     def _content(self) -> str:
-        return _digest(*self.truth.maps.values(), *_numbers(self.photos.views))
+        return _digest(self.truth.maps.values(), [self.photos])
 
     def errors(self, svbrdf: SVBRDF, predict: Predict) -> dict[str, float]:
         """RMSE of each map, their ``mean``, and the RMSE of ``novel_light`` images and of the ``photos``."""
@@ -82,8 +83,7 @@ class RealCapture:
     @cached_property
     def _content(self) -> str:
         shots = [each for each in (self.photos, self.unseen) if each]
-        return _digest(*(part for each in shots for part in (
-            each.stored, *([] if each.measured is None else [each.measured]), *_numbers(each.views))))
+        return _digest([shown for each in shots for shown in (each.stored, each.measured)], shots)
 
     def errors(self, svbrdf: SVBRDF, predict: Predict) -> dict[str, float]:
         """RMSE of the photos ``seen`` and ``held_out``."""
@@ -167,13 +167,13 @@ def data_folder(folder: Path | None = None) -> Path | None:
     return named
 
 
-def _digest(*tensors: Tensor) -> str:
-    """What tells tasks of one name apart: 16 hex digits of the SHA-256 of their values."""
-    return digest(*tensors)[:16]
-
-
-def _numbers(views: Views) -> tuple[Tensor, ...]:
-    return views.camera, views.light, views.intensity
+def _digest(pictures: Iterable[Tensor | None], shots: Sequence[Capture]) -> str:
+    """What tells tasks of one name apart: 16 hex digits for pictures, and for what is stated of photos."""
+    views = [each.views for each in shots]
+    lit = [numbers for each in views for numbers in (each.camera, each.light, each.intensity)]
+    told = digest(*(shown for shown in pictures if shown is not None), *lit)
+    told += repr([(each.transfer, each.calibration, each.views.size, each.views.falloff) for each in shots])
+    return hashlib.sha256(told.encode()).hexdigest()[:16]
 
 
 def novel_views(views: Views) -> Views:

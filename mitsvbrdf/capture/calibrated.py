@@ -8,7 +8,6 @@ number, before a :class:`Capture` is made.
 import contextlib
 import json
 import reprlib
-import warnings
 from pathlib import Path
 from typing import Annotated, Any, get_args
 
@@ -18,7 +17,7 @@ import torch
 from msgspec import Meta
 
 from .. import color
-from ..errors import CaptureError, InputWarning
+from ..errors import CaptureError, warn_of
 from ..io.decode import header, picture, upright
 from ..io.images import averaged, display, unmasked
 from ..io.json import error_text, load
@@ -208,8 +207,8 @@ def _numbered(folder: Path) -> dict[int, Path]:
     paths: dict[int, Path] = {}
     found = files_of(folder, PLAIN + HEIC)
     if others := [path.name for path in found if path.stem[0].isdecimal() > path.stem.isdecimal()]:
-        warnings.warn(f"{folder} holds photos that are not read: {listed(others)}; a photo of a calibrated "
-                      "capture is named by its number, as 00.png", InputWarning, stacklevel=2)
+        warn_of(f" holds photos that are not read: {listed(others)}; a photo of a calibrated capture is "
+                "named by its number, as 00.png", folder)
     for path in found:
         if not path.stem.isdecimal():
             continue

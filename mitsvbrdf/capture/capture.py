@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,7 +13,7 @@ from torch import Tensor
 
 from .. import color
 from ..color import Transfer
-from ..errors import CaptureError, ConfigError, InputWarning
+from ..errors import CaptureError, ConfigError, warn_of
 from ..io.colour_profile import Profile
 from ..kinds import check_fields, kinds_checked
 from ..material.resample import area_averaged, sampled
@@ -41,8 +40,8 @@ def converted(stated: Mapping[str, Profile | None], outside: Mapping[str, float]
     for profile, those in names.items():
         if profile.reason:
             more = f" and {len(those) - 1} more photos" if those[1:] else ""
-            warnings.warn(f"{those[0]}{more}: {profile.name} cannot be used ({profile.reason}); the values "
-                          "are taken as sRGB; export the photos as sRGB", InputWarning, stacklevel=2)
+            warn_of(f"{those[0]}{more}: {profile.name} cannot be used ({profile.reason}); the values are "
+                    "taken as sRGB; export the photos as sRGB")
     alike: dict[str, list[float]] = {}  # profiles of one name may differ, for example in their date
     for profile, those in names.items():
         if not profile.reason:

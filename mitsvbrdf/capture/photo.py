@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import warnings
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
@@ -14,7 +13,7 @@ from typing import Any
 import numpy as np
 from PIL import Image
 
-from ..errors import CaptureError, ConfigError, InputWarning
+from ..errors import CaptureError, ConfigError, InputWarning, warn_of
 from ..io.colour_profile import Profile
 from ..io.decode import Picture, check_size, header, kind_of, needed, opened, picture
 from ..io.files import check_names
@@ -160,8 +159,7 @@ def photos_in(folder: str | Path) -> list[Path]:
         raise CaptureError("photos (jpg, png, heic, dng, ...)", f"{listed(others) or 'none'} in {folder}",
                            way_out if others else "give the folder that holds them")
     if others:
-        warnings.warn(f"{folder} holds files that are not read: {listed(others)}; {way_out}", InputWarning,
-                      stacklevel=3)
+        warn_of(f" holds files that are not read: {listed(others)}; {way_out}", folder, stacklevel=3)
     raw = [p for p in found if p.suffix.lower() in RAW]
     if raw and len(raw) < len(found):
         raise CaptureError("photos of one kind", f"{len(raw)} RAW files and {len(found) - len(raw)} others "

@@ -77,7 +77,7 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
         raise ConfigError(f"a resolution of {LEAST_SIDE} or more", str(resolution), "choose a larger one")
     if transfer is not None:
         color.parts(transfer)
-    with noted(path) as faults:
+    with noted() as faults:
         capture = _read(path, resolution, falloff, transfer, report)
     capture = laid_alike(capture)
     capture = capture if index is None else capture.pick(index)

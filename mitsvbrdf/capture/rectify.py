@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import torch
 
-from ..errors import InputWarning
+from ..errors import warn_of
 from .capture import LEAST_SIDE
 from .lens import Lens, Pose, project
 from .photo import Photo, reduced
@@ -104,8 +103,7 @@ def filled(pictures: Sequence[np.ndarray], warn: bool = True) -> tuple[torch.Ten
         stack = np.where(known, stack, mean)
         unseen = ~known.any(axis=(0, 3))
         if warn and unseen.any():
-            warnings.warn(f"{unseen.mean():.1%} of the patch is masked in all photos; maps are made up "
-                          "there", InputWarning, stacklevel=2)
+            warn_of(f"{unseen.mean():.1%} of the patch is masked in all photos; maps are made up there")
         if unseen.any() and not unseen.all():
             from scipy.ndimage import distance_transform_edt
 

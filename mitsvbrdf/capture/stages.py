@@ -95,7 +95,7 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
         raise ConfigError(f"a reference of {get_args(Reference)}", repr(reference), "choose one of these")
     begun = of_one_camera(photos)
     check_enough(*begun[:2])
-    with noted(photos[0].path.parent) as faults:
+    with noted() as faults:
         made = _in_stages(photos, begun, sheet_cm, depth_cm, transfer, resolution, reference, report)
     return replace(made, warnings=tuple(dict.fromkeys((*faults, *made.warnings))))
 

@@ -24,7 +24,7 @@ from ..batch.settings import BatchSettings
 from ..batch.tasks import RayTasks, require_ray
 from ..errors import ConfigError
 from ..fit.config import FitConfig
-from ..fit.fixed_maps import named_files
+from ..fit.fixed_maps import absolute_files
 from ..fit.options import FitOptions
 from ..io.progress import progress_bar, say
 from .fit import Advanced, Settings, settings, with_flags
@@ -111,30 +111,28 @@ def with_own_options(entry: Entry, base: Asked) -> Asked:
         raise ConfigError("options of `mitsvbrdf fit`, --tag, --pages or --sheet",
                           f"{shlex.join(entry.own)} ({_plain(said.getvalue())}; {entry.where})",
                           "mend the line") from None
-    own = {word.partition("=")[0] for word in words}
     with told_with(entry.where):
-        asked = replace(asked, config=_from_folder(asked.config, entry.base, own))
         asked.options.check(asked.config)
-    return asked
+    return _from_list(asked, base.config)
 
 
-def _from_folder(config: FitConfig, folder: str, own: set[str]) -> FitConfig:
-    """The settings; paths of the options named ``own`` start at the folder."""
-    changes: dict[str, Any] = {}
-    if "--fix" in own:
-        there = {file: os.path.join(folder, file) for file in named_files(config.fix)}
-        changes["fix"] = tuple("=".join((name, there.get(value, value)))
-                               for name, _, value in (item.partition("=") for item in config.fix))
-    if "--pretrained" in own and (pretrained := getattr(config, "pretrained", None)):
-        changes["pretrained"] = os.path.join(folder, pretrained)
-    return replace(config, **changes)
+def _from_list(asked: Asked, common: FitConfig) -> Asked:
+    """The same; files that its line names lie beside the list, those of the command in the current folder."""
+    config = asked.config
+    before = common if isinstance(config, type(common)) else type(config)()
+    if set(config.files) <= set(before.files):
+        return replace(asked, entry=asked.entry._replace(base=""))
+    changes: dict[str, Any] = {"fix": (*absolute_files(before.fix), *config.fix[len(before.fix):])}
+    if (pretrained := getattr(before, "pretrained", None)) and pretrained in config.files:
+        changes["pretrained"] = os.path.abspath(pretrained)
+    return replace(asked, config=replace(config, **changes))
 
 
 def _check_files(asked: Asked) -> None:
     """ConfigError: a file is missing that the settings name."""
     with told_with(asked.entry.where):
         for file in asked.config.files:
-            if not os.path.isfile(file):
+            if not os.path.isfile(os.path.join(asked.entry.base, file)):
                 raise ConfigError("a number or a file that is there", file, "check the path")
 
 

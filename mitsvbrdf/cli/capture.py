@@ -3,6 +3,7 @@
 import contextlib
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -58,13 +59,16 @@ def capture(photos: Annotated[Positional[Path], arg(
     if (photos / "capture.json").is_file():
         raise ConfigError("a folder of raw photos", f"{photos}, which is a capture already",
                           f"mitsvbrdf fit {photos} -o OUT")
-    raw = [Photo.open(path) for path in photos_in(photos)]
-    if sheet is None:
-        refuse_tags(raw)
+    with noted() as warned:
+        raw = [Photo.open(path) for path in photos_in(photos)]
+        if sheet is None:
+            refuse_tags(raw)
     with contextlib.ExitStack() as last, results.output_folder(out, overwrite) as folder:
-        with noted(photos) as warned, progress_bar("capture") as report:
+        with noted() as later, progress_bar("capture") as report:
             result = make_capture(raw, sheet, depth, None if transfer == "auto" else transfer, resolution,
                                   reference, report)
+        warned += later
+        result = replace(result, warnings=tuple(dict.fromkeys((*warned, *result.warnings))))
         last.enter_context(deferred_signals())  # until all is in place
         write_capture(result.capture, folder, capture_keys(result))
         write_quality(result, folder)

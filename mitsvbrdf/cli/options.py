@@ -155,7 +155,7 @@ def read_photos(capture: Path, resolution: int, views: str | None, transfer: Tra
     from ..views import photo_numbers
 
     check_side(resolution)
-    with noted(capture) as warned, ExitStack() as open_bar:
+    with noted() as warned, ExitStack() as open_bar:
         # only plain photos report progress
         bar = functools.cache(lambda: open_bar.enter_context(progress_bar("capture")))
         shots = read_capture(capture, resolution=resolution, index=photo_numbers(views), falloff=falloff,

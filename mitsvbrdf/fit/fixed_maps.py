@@ -74,6 +74,13 @@ def named_files(fix: Sequence[str]) -> list[str]:
     return [value for value in values if value != "flat" and _numbers(value) is None]
 
 
+def absolute_files(fix: Sequence[str]) -> tuple[str, ...]:
+    """The same, with the absolute path of each file."""
+    there = {item: f"{item.partition('=')[0]}={os.path.abspath(item.partition('=')[2])}" for item in fix
+             if named_files([item])}
+    return tuple(there.get(item, item) for item in fix)
+
+
 def described(fix: Sequence[str]) -> dict[str, str]:
     """Map name -> "held at VALUE", for lists of what a fit omits."""
     return {name: f"held at {value}" for name, _, value in (item.partition("=") for item in fix)}

@@ -16,7 +16,7 @@ import numpy as np
 import simplejpeg
 from PIL import Image
 
-from ..errors import InputWarning, MitsvbrdfError
+from ..errors import MitsvbrdfError, warn_of
 from .colour_profile import Profile, exif_of, profile_of, to_srgb
 
 MOST_PIXELS = 250_000_000  # of a picture; the largest sensors of phones have 200 million
@@ -187,8 +187,8 @@ def _jpeg(path: Path, content: bytes) -> np.ndarray:
             image.draft("RGB", (image.width // 8 or 1, image.height // 8 or 1))
             image.load()
         pixels = simplejpeg.decode_jpeg(content, strict=False)
-        warnings.warn(f"{path} is damaged ({complaint}), and what it shows may be wrong; copy it again",
-                      InputWarning, stacklevel=4)
+        warn_of(f" is damaged ({complaint}), and what it shows may be wrong; copy it again", path,
+                stacklevel=4)
         return pixels
 
 

@@ -7,7 +7,6 @@ Photos with EXIF, HEIC or raw data are read by :mod:`mitsvbrdf.capture.photo`, w
 import contextlib
 import math
 import os
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -20,7 +19,7 @@ import torch
 from torch import Tensor
 
 from .. import color
-from ..errors import InputWarning, MitsvbrdfError
+from ..errors import MitsvbrdfError, warn_of
 from .colour_profile import is_rec709, to_rec709
 from .decode import check_size, header, picture, upright
 from .files import atomic_write, write_bytes
@@ -57,8 +56,8 @@ def read_image(path: Path, error: type[MitsvbrdfError], data: bool = False, alph
     about = header(path, error)
     found = picture(path, error, data)
     if about.profile and about.profile.reason and not data:
-        warnings.warn(f"{path}: {about.profile.name} cannot be used ({about.profile.reason}); the values are "
-                      "taken as sRGB; export it as sRGB", InputWarning, stacklevel=2)
+        warn_of(f": {about.profile.name} cannot be used ({about.profile.reason}); the values are taken as "
+                "sRGB; export it as sRGB", path)
     _warn_outside(path, found.outside)
     pixels = found.alpha if alpha else found.pixels
     if pixels is None:
@@ -164,8 +163,8 @@ def _in_rec709(linear: Tensor, path: Path, error: type[MitsvbrdfError]) -> Tenso
 
 def _warn_outside(path: Path, share: float) -> None:
     if share > 0:
-        warnings.warn(f"{path}: {share:.2%} of the pixels have colours outside of sRGB, which were moved to "
-                      "its edge", InputWarning, stacklevel=3)
+        warn_of(f": {share:.2%} of the pixels have colours outside of sRGB, which were moved to its edge",
+                path, stacklevel=3)
 
 
 def display(pixels: np.ndarray) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import io
 import json
+import os
 import shlex
 import sys
 from dataclasses import replace
@@ -51,9 +52,16 @@ def test_a_mistake_on_a_line_is_one_plain_error(line, told, encoding, monkeypatc
 def test_files_on_a_line_lie_beside_the_list(tmp_path):
     line = Entry("/shots/wood", ("--fix", "normal=up.png", "--fix", "roughness=0.5"), "line 3", str(tmp_path))
     found = with_own_options(line, USUAL)
-    assert found.config.fix == (f"normal={tmp_path / 'up.png'}", "roughness=0.5")
+    assert found.config.fix == ("normal=up.png", "roughness=0.5") and found.entry.base == str(tmp_path)
     with pytest.raises(ConfigError, match="up.png.*line 3"):
         _check_files(found)
+    (tmp_path / "up.png").touch()
+    _check_files(found)
+    common = replace(USUAL, config=HierarchicalConfig(fix=("diffuse=here.png",)))
+    both = with_own_options(line, common)
+    assert both.config.fix == (f"diffuse={os.path.abspath('here.png')}", *found.config.fix)
+    alone = with_own_options(line._replace(own=("--fix", "roughness=0.5")), common)
+    assert alone.config.fix == ("diffuse=here.png", "roughness=0.5") and not alone.entry.base
 
 
 def test_tags_have_commas_between_them():

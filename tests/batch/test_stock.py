@@ -134,6 +134,9 @@ def test_the_same_photos_under_two_names_are_fitted_once_and_that_is_said(result
     found = stock(results, one, other, one)
     assert names(found) == ["wood"] and found.notes == [
         f"passed over: {other} has the photos and options of {one}"]
+    do(results, stock(results, other))  # what the library has is not made again
+    found = stock(results, one, other)
+    assert (found.work, found.done, len(found.notes)) == ([], 1, 1)
 
 
 def test_two_captures_with_one_name_are_two_materials(results, tmp_path):

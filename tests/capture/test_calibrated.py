@@ -2,6 +2,8 @@
 
 import shutil
 import tracemalloc
+import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
@@ -66,6 +68,18 @@ def test_a_damaged_photo_is_named_and_refused_when_strict(tmp_path):
     (tmp_path / "01.jpg").rename(tmp_path / "plain/a.jpg")
     with pytest.warns(InputWarning, match="a.jpg is damaged"):
         assert any(note.startswith("a.jpg is damaged") for note in read_capture(tmp_path / "plain").notes)
+
+
+def test_notes_are_of_the_capture_that_a_thread_reads(tmp_path, monkeypatch):
+    good, bad = (json_capture(tmp_path / name) for name in ("good", "bad"))
+    shutil.copy(bad / "target/00.png", bad / "target/08 (1).png")
+    with warnings.catch_warnings(action="ignore"), ThreadPoolExecutor(2) as pool:
+        found = list(pool.map(lambda folder: (folder, read_capture(folder).notes), [good, bad] * 10))
+    assert all(len(notes) == (folder == bad) for folder, notes in found)
+    monkeypatch.chdir(bad)
+    with pytest.warns(InputWarning):
+        named, = read_capture(".").notes
+    assert named.startswith("target holds photos that are not read: 08 (1).png;")
 
 
 def test_photos_without_a_number_are_named(tmp_path):

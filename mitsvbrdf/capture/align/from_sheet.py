@@ -5,6 +5,7 @@ points measured on edges of tags (bundle adjustment, Triggs et al. 2000), with Z
 and weak priors on the lens.
 """
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,7 +18,7 @@ from ...errors import CaptureError
 from ...io import Report
 from ...io.layout import Layout
 from ..lens import Array, Lens, Pose, expected_lens, project, unsure_note
-from ..photo import Photo
+from ..photo import Photo, Unreadable
 from ..rig import LEAST_PHOTOS, Rig, check_enough, one_place
 from .planar import POSE
 from .sheet import Sheet
@@ -97,7 +98,10 @@ def refuse_tags(photos: Sequence[Photo],
                 how: str = "give that, for example `mitsvbrdf capture PHOTOS -o CAPTURE --sheet 18`") -> None:
     """Refuse photos of a sheet of unknown size: tags would pass for material. ``how``: the way to give it."""
     for photo in photos:
-        if (count := len(find_edges(photo, Sheet(), patient=False).corners)) >= LEAST_TAGS:
+        count = 0
+        with contextlib.suppress(Unreadable):  # the photo may not be needed
+            count = len(find_edges(photo, Sheet(), patient=False).corners)
+        if count >= LEAST_TAGS:
             raise CaptureError("--sheet CM for photos of a sheet of tags",
                                f"{count} tags in {photo.name} and no size",
                                f"measure the frame of tags from outer edge to outer edge and {how}")
