@@ -46,7 +46,7 @@ class ResultStore:
     # ---- what lies there ----
 
     def names(self) -> list[str]:
-        """The folders that have the name of a result."""
+        """The names of folders that are named as results are: a name, a hyphen, 8 hex digits."""
         return sorted(name for name in self.store.listed()[1] if RESULT.fullmatch(name) and is_entry(name))
 
     def result(self, folder: str) -> Material | None:

@@ -1,4 +1,4 @@
-"""The views and lights that the photos of a fit, or other photos, are rendered again with."""
+"""The views and lights in which maps are rendered again: those of photos of the fit, or of others."""
 
 from dataclasses import replace
 from pathlib import Path

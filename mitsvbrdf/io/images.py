@@ -67,7 +67,7 @@ def read_image(path: Path, error: type[MitsvbrdfError], data: bool = False, alph
 
 
 def read_exr(path: Path, error: type[MitsvbrdfError]) -> np.ndarray:
-    """What an EXR's display window shows: H x W x 3, 2 or 1, contiguous float32; 0 where it has no pixels.
+    """An EXR's display window, H x W x C (1 to 3), contiguous float32; 0 where the file has no pixels.
 
     The picture is R, G, B, or X, Y, Z, or two or one of them, at the top level or in a layer of its own.
     ``error`` is raised where the file is missing, damaged or too large, or leaves open which picture to read.

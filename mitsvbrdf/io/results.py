@@ -228,7 +228,7 @@ def _mend(out: Path) -> None:
 
 
 def _is_earlier(partial: Path, out: Path) -> bool:
-    """Whether a partial folder is the earlier result, already exchanged for the one in ``out``."""
+    """Whether ``partial`` holds the earlier result, since the new one is in ``out`` already."""
     return serial_of(partial) < serial_of(out)
 
 

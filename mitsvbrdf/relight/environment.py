@@ -155,6 +155,6 @@ def studio(height: int = 256) -> Tensor:
 
 
 def _soft(distance: Tensor, edge: float = 0.03) -> Tensor:
-    """0 outside, 1 inside, smooth over the edge."""
+    """Smoothstep of the distance inside a shape: 0 outside, 1 from the depth ``edge`` on."""
     t = (distance / edge).clamp(0, 1)
     return t * t * (3 - 2 * t)

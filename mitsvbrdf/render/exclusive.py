@@ -47,9 +47,10 @@ _alive: WeakSet[Kept] = WeakSet()
 class Kept(Generic[T]):
     """Something of Mitsuba or Dr.Jit that any thread may forget; a thread with the lock frees it.
 
-    If an array is freed while another thread traces, the process ends, or waits for that thread while it
-    holds Python's own lock. So forgotten content waits for the next :func:`using_mitsuba` or for the end of
-    the process. The content must not refer to the object that keeps it.
+    To free an array while another thread traces can crash the process, or stop both threads for ever: the
+    one that frees waits, and holds Python's own lock. So forgotten content waits for the next
+    :func:`using_mitsuba` or for the end of the process. The content must not refer to the object that keeps
+    it.
     """
 
     def __init__(self, content: T) -> None:

@@ -50,7 +50,7 @@ def check_apart(folder: Path, capture: Capture) -> None:
 
 
 def keep_photos(folder: Path, capture: Capture) -> None:
-    """The photos as ``photos/NN.png``: display values, 8 bits; OutputError among the capture's own."""
+    """Write ``photos/NN.png``, display values of 8 bits. OutputError: the folder is that of the photos."""
     check_apart(folder, capture)
     def write(name: str, row: int) -> None:
         images.write_png(folder / "photos" / f"{name}.png", capture.stored[row], shown=color.shown)

@@ -27,7 +27,7 @@ def material_name(found: Fit) -> str:
 
 
 def judged(record: dict) -> tuple[bool, str]:
-    """Whether no check found a fault in the maps, and one sentence that says so, or what to look at first."""
+    """Whether the fit was not interrupted and has no warning; and a verdict: what to look at first."""
     photos = f"{len(record['per_photo'])} photo{'s' * (len(record['per_photo']) != 1)}"
     error = f"{record['rerender_rmse']:.3f} (RMSE, where 1 is white)"
     met = f"the maps, rendered again, differ from {photos} by {error}"

@@ -181,7 +181,7 @@ def trust_of(size: Array) -> Array:
 
 
 def alike(error: Array, weights: Array, cell: np.ndarray) -> float:
-    """How many residuals count as one: ratio of the squared sums over cells to those of independent ones."""
+    """How many residuals count as one: squared sums of cells over squares of residuals; 1: independent."""
     sums, squares = (np.bincount(cell, v) for v in (weights * error, (weights * error) ** 2))
     return max(1.0, float(np.square(sums).sum() / max(squares.sum(), 1e-30)))
 

@@ -22,8 +22,8 @@ class Conditioning:
     """What one phase of the training works on: its photos, area-averaged to the side of the maps.
 
     Args:
-        start: the material to start from, at full size; None starts at zero before Tanh.
-        carried: what an earlier phase added to the start, C x r x r for any r.
+        start: the material to start from, at full size; None: zeros as the input of Tanh.
+        carried: what earlier phases added to the start, before Tanh, by map: C x r x r, of any side r.
     """
 
     def __init__(self, task: FitTask[GanConfig], capture: Capture, resolution: int, streams: Streams,

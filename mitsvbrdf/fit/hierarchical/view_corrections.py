@@ -72,7 +72,7 @@ class ViewCorrections:
         self.begun(not self.may_move(tied) or rounds >= max(REFINED.get(stage, (0,))))
 
     def level(self, slope: Tensor) -> None:
-        """Move the flash of all photos so that the patch as a whole becomes flat.
+        """Move the flash of all photos by one offset, for a mean slope taken out of the normals.
 
         Normals of slope s show their highlights s z beside the place below the camera, as flat normals do
         with a flash 2 s z beside the camera. A refinement with frozen maps cannot find such an offset: their
