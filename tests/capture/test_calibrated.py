@@ -12,7 +12,7 @@ from helpers.averages import area_means
 from helpers.stated_captures import json_capture, photos, save, text_capture
 
 from mitsvbrdf.capture import calibrated, read_capture
-from mitsvbrdf.errors import CaptureError, InputWarning, MitsvbrdfError, strict
+from mitsvbrdf.errors import CaptureError, InputWarning, MitsvbrdfError, noted, strict
 
 
 @pytest.mark.parametrize("make", [json_capture, text_capture])
@@ -77,8 +77,9 @@ def test_notes_are_of_the_capture_that_a_thread_reads(tmp_path, monkeypatch):
         found = list(pool.map(lambda folder: (folder, read_capture(folder).notes), [good, bad] * 10))
     assert all(len(notes) == (folder == bad) for folder, notes in found)
     monkeypatch.chdir(bad)
-    with pytest.warns(InputWarning):
+    with pytest.warns(InputWarning), noted() as outside:
         named, = read_capture(".").notes
+    assert outside == [named]
     assert named.startswith("target holds photos that are not read: 08 (1).png;")
 
 

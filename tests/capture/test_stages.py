@@ -235,9 +235,10 @@ def test_too_few_are_left(made):
         make_capture([photos[0], photos[1], photos[4]], 18.0, resolution=64)
 
 
-def test_tags_without_a_size_are_refused(made, plain):
+def test_tags_without_a_size_are_refused(made, plain, tmp_path):
+    (cut := tmp_path / "cut.jpg").write_bytes((plain / "IMG_0.jpg").read_bytes()[:20_000])  # hides no tags
     with pytest.raises(CaptureError, match="16 tags in IMG_0.jpg.*--sheet 18"):
-        refuse_tags([Photo.open(plain / "IMG_0.jpg"), Photo.open(made[0] / "IMG_0.jpg")])
+        refuse_tags([Photo.open(path) for path in (cut, plain / "IMG_0.jpg", made[0] / "IMG_0.jpg")])
     with pytest.raises(CaptureError, match="16 tags"):  # fit raw/ too: they would pass for material
         read_capture(made[0])
     refuse_tags([Photo.open(plain / "IMG_0.jpg")])

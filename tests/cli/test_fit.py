@@ -32,6 +32,14 @@ def test_how_it_ended(stopped, before, words, capsys):
     assert (words or "Re-rendering RMSE") in said
 
 
+@pytest.mark.parametrize("sd, said", [(None, ""), (0.4, "light power, known to a factor of 1.5;")])
+def test_the_light_power_is_beside_the_deviations_where_it_is_guessed(sd, said, capsys):
+    told = {"record": {"confidence": {}, "calibration": {"log_power_sd": sd}}, "stopped": "settled"}
+    _say_result(SimpleNamespace(**ENDED | told), SHOTS, None)
+    shown = capsys.readouterr().out
+    assert said in shown and ("light power" in shown) is bool(sd)
+
+
 def test_help_shows_research_options_only_when_asked(capsys):
     for advanced in ((), ("--advanced",)):
         with pytest.raises(SystemExit) as stop:
