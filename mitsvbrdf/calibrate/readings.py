@@ -164,7 +164,7 @@ def _left(photos: Tensor, seen: Tensor, views: Views) -> tuple[float, float]:
             ratio = torch.where(seen, model / goal.clamp_min(1e-6), torch.nan).flatten(1)
             error = (model - goal).abs().clamp_max(1)
             gain = gain * ratio.nanmedian(dim=1).values.nan_to_num(1).clamp(*GAINS)[:, None, None]
-        found.append((float(error.mean()), float(x.sum(dim=-1).median())))
+        found.append((float(error.mean()), float(x.sum(dim=-1)[seen.any(dim=0)].median().nan_to_num(USUAL))))
     return min(found)
 
 

@@ -154,8 +154,8 @@ class OnePhoto(Method[HierarchicalConfig]):
                 found = classes.posterior(self.pixels.pick(some), nodes(len(some), MOST, self.config.seed))
                 parts.append((classes.texels(found, classes.specular), classes.lost(found)))
         texels, lost = (torch.cat(part) for part in zip(*parts))
-        views = replace(self.views.carried(classes.moved.double() * self.views.size),
-                        intensity=self.views.intensity * float(classes.power.exp()))
+        views = self.views.carried(classes.moved.double() * self.views.size)
+        views = replace(views, intensity=views.intensity * float(classes.power.exp()))
         return self._widened(texels, lost, views), views
 
     def _widened(self, texels: Tensor, lost: Tensor, views: Views) -> SVBRDF:

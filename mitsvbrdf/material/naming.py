@@ -130,5 +130,5 @@ def is_of_field(chosen: Mapping[str, Source]) -> bool:
     """Whether the files have the field's plain names: their maps then are diffuse and specular."""
     plain = {name: name if source.part is not None else source.path.stem.lower()
              for name, source in chosen.items() if source.path}
-    return "diffuse" in plain and "base_color" not in plain and all(
+    return "diffuse" in plain and not {"base_color", "metallic"} & set(plain) and all(
         plain[name] in names for name, names in FIELD.items() if name in plain)

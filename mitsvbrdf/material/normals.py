@@ -24,7 +24,7 @@ EMPTY, SLOPPY = 2 / 255, 0.02
 # The curl of slopes is 0 with the right sign of y. A sign is proven where the energy of its curl is less than
 # a quarter of the other sign's; DirectX only if nearly all blocks agree, too.
 PROVEN, AGREED, BLOCKS = 1 / 4, 0.9, 8
-LEVEL = 1 / 255  # mean slope along y below which its sign hardly shows
+LEVEL = 1 / 255  # mean deviation of slopes along y below which its sign hardly shows
 OVERRULE = "--encoding {} (or material.json)"  # how the user overrules a convention
 BAND = 64  # rows that are looked at together
 STEEPEST = 0.05  # smallest z that slopes are computed with
@@ -57,7 +57,7 @@ def directx_by_curl(normal: Tensor) -> bool | None:
     """
     slopes = -normal[..., :2].float() / normal[..., 2:].float().clamp_min(STEEPEST)
     across, up = slopes[..., 1].diff(dim=1), -slopes[..., 0].diff(dim=0)  # dq/dx, dp/dy; rows go down
-    if min(across.shape[0], up.shape[1]) < 2 * BLOCKS or float(slopes[..., 1].abs().mean()) < LEVEL:
+    if min(normal.shape[:2]) < 2 * BLOCKS or (slopes[..., 1] - slopes[..., 1].mean()).abs().mean() < LEVEL:
         return False
     across, up = across[1:] + across[:-1], up[:, 1:] + up[:, :-1]
     as_it_is, turned = (float((up - sign * across).square().sum(dtype=torch.float64)) for sign in (1, -1))

@@ -120,7 +120,7 @@ def _compared(name: str, layers: Layers, golden: Layers, rtol: float, atol: floa
 def _excess(value: Tensor, golden: Tensor, rtol: float, atol: float) -> Tensor:
     """Differences divided by the tolerance, float64; 0 where there is no difference."""
     off = (value.double() - golden.double()).abs()
-    return torch.where(off > 0, off / (atol + rtol * golden.double().abs()), 0.0)
+    return torch.where(off == 0, 0.0, off / (atol + rtol * golden.double().abs()))
 
 
 def _shapes(layers: Layers) -> str:

@@ -57,7 +57,7 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, over
     """
     shows = torch.ones_like(photos[..., 0], dtype=torch.bool) if measured is None else measured
     hidden = resized((~shows)[..., None].float(), min(RADIANCE_SIDE, photos.shape[1])) > 0
-    irradiance = geometry(views, RADIANCE_SIDE)[-1].mean(dim=-1) / math.pi  # of a white diffuse texel
+    irradiance = geometry(views, min(RADIANCE_SIDE, photos.shape[1]))[-1].mean(dim=-1) / math.pi  # of white
     linear, clipped = color.decode(photos, transfer), shows & (photos >= NEARLY_CLIPPED).any(dim=-1)
     linear = resized(linear, min(RADIANCE_SIDE, photos.shape[1])).masked_fill(hidden, torch.nan)
     luminance = resized(photos, min(DETAIL_SIDE, photos.shape[1])).mean(dim=-1).numpy()

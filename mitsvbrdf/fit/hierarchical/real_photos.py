@@ -114,8 +114,8 @@ class RealPhotos:
         sharp = self.scales.of(Stage.ALONE)
         starts = {photo: self.prior.enlarge(answer, scale, sharp, tied=True)
                   for photo, answer in held_out.items()}
-        photos = replace(self.seen.observations(sharp, tied), robust=ROBUST_END * NOISE, noise=NOISE,
-                         weights=sharp.capture.measured)
+        photos = replace(self.seen.observations(sharp, next(iter(starts.values()))), noise=NOISE,
+                         robust=ROBUST_END * NOISE, weights=sharp.capture.measured)
         return NOISES[least_as_good(prediction_errors(photos, sharp.solver, self.prior, starts, NOISES))]
 
     def close(self, answer: TexelEstimate, scale: Scale, more: int = 0) -> Tensor:
