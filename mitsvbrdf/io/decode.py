@@ -82,7 +82,7 @@ def header(path: Path, error: type[MitsvbrdfError]) -> Header:
         with opened(path, kind) as image:
             size, turned = image.size, exif_of(image, ORIENTATION)
             if kind == "HEIF":  # decoded as shown; the lens is calibrated on the sensor's picture
-                turned = {k: k for k in UNTURNED}.get(image.info.get("original_orientation"), 1)
+                turned = stored if (stored := image.info.get("original_orientation", 1)) in UNTURNED else 1
                 size = size[::-1] if turned in (6, 8) else size
             elif kind == "TIFF":
                 tags = image.tag_v2  # type: ignore[attr-defined]
