@@ -9,10 +9,8 @@ def function(lines: int, docstring: str = "") -> str:
     return "class A:\n    def method(self):\n" + docstring + "        pass\n" * lines
 
 
-@pytest.mark.parametrize("text, breaches", [
-    ("#\n" * FILE_LINES, []),
-    ("#\n" * (FILE_LINES + 1), [FILE_LINES + 1]),
-    (function(BODY_LINES), []),
+@pytest.mark.parametrize("text, breaches", [("#\n" * FILE_LINES, []),
+    ("#\n" * (FILE_LINES + 1), [FILE_LINES + 1]), (function(BODY_LINES), []),
     (function(BODY_LINES + 1), [2]),
     (function(BODY_LINES, '        """One.\n\n        Two.\n        """\n'), []),
     (function(BODY_LINES + 1, '        """One."""\n'), [2]),
@@ -34,8 +32,7 @@ def checkout(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("name, more, told", [
-    ("mitsvbrdf/b/c.py", "#\n", "mitsvbrdf: 11 lines, budget 10"),
+@pytest.mark.parametrize("name, more, told", [("mitsvbrdf/b/c.py", "#\n", "mitsvbrdf: 11 lines, budget 10"),
     ("tests/t.py", "#\n", "tests: 10 lines, budget 0.9 of the 10"),
     ("docs/page.md", "more", "docs/page.md: 4 words")])
 def test_a_broken_budget_is_told(name, more, told, checkout):

@@ -67,8 +67,7 @@ def test_guesses_are_the_same_bits_under_any_default(mode):
 @pytest.mark.parametrize("mode", MODES)
 @pytest.mark.parametrize("config", [mv.HierarchicalConfig(iterations=8),
                                     mv.HybridConfig(width=4, iterations=3),
-                                    mv.GanConfig(width=4, iterations=3)],
-                         ids=lambda c: type(c).__name__)
+                                    mv.GanConfig(width=4, iterations=3)], ids=lambda c: type(c).__name__)
 def test_fits_of_every_method_are_the_same_bits_under_any_default(mode, config):
     expected = fitted(config)
     with MODES[mode]():
@@ -152,8 +151,7 @@ WRONG = {
     "negative photos": lambda: mv.Capture(GREY - 0.6, GRID),
     "photos in steps of 8 bits": lambda: mv.Capture(GREY * 255, GRID),
     "photos of 32 bits": lambda: mv.Capture((GREY * 255).int(), GRID),
-    "oblong photos": lambda: mv.Capture(GREY[:, :4], GRID),
-    "no photos": lambda: mv.Capture(GREY[:0], GRID),
+    "oblong photos": lambda: mv.Capture(GREY[:, :4], GRID), "no photos": lambda: mv.Capture(GREY[:0], GRID),
     "views below the plane": lambda: mv.Capture(GREY, mv.Views(-GRID.camera, GRID.light, GRID.intensity)),
     "another calibration": lambda: mv.Capture(GREY, GRID, calibration="x"),
     "a mask of numbers": lambda: mv.Capture(GREY, GRID, measured=GREY[..., 0].byte()),

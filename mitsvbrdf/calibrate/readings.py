@@ -148,7 +148,7 @@ def doubts(capture: Capture) -> Doubts | None:
 def _left(photos: Tensor, seen: Tensor, views: Views) -> tuple[float, float]:
     """Mean relative error that the best flat material of one roughness leaves, and its median reflectance.
 
-    Photos are grey radiance, N x R x R; ``seen`` says where they are not clipped.
+    Photos are grey radiance, N x R x R; ``seen``: where not clipped. The median is of texels seen.
     """
     light, half, irradiance = (x.double() for x in geometry(views, photos.shape[1]))
     bright, up = irradiance.mean(dim=-1) / math.pi, light[..., 2].clamp_min(1e-3)

@@ -108,9 +108,9 @@ def _compared(name: str, layers: Layers, golden: Layers, rtol: float, atol: floa
             figures.append(Figure(f"{label}largest difference, in tolerances", float(excess.max()), 1.0))
             if figures[-1].missed:
                 worst = torch.unravel_index(excess.argmax(), excess.shape)
-                notes.append(f"{label}{int((excess > 1).sum())} of {excess.numel()} values are off, worst at "
-                             f"(row, column, channel) {tuple(map(int, worst))}: {value[worst]:.7g}, golden "
-                             f"{golden[layer][worst]:.7g}")
+                notes.append(f"{label}{int((~(excess <= 1)).sum())} of {excess.numel()} values are off, "
+                             f"worst at (row, column, channel) {tuple(map(int, worst))}: {value[worst]:.7g}, "
+                             f"golden {golden[layer][worst]:.7g}")
         if flip < 1:
             look = flip_error(_shown(layer, value), _shown(layer, golden[layer]), "linear")
             figures.append(Figure(f"{label}mean FLIP error", float(look.mean()), flip))

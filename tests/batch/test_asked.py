@@ -22,8 +22,7 @@ SIZES = json.loads((Path(__file__).parents[2] / "docs/results/benchmark.json").r
 USUAL = Asked(Entry("/shots/wood"), HierarchicalConfig(), FitOptions(), True, ())
 
 
-@pytest.mark.parametrize("line, words", [
-    ("--tag old", ""), ("--budget 7.5 --seed 3", "budget=7.5, seed=3"),
+@pytest.mark.parametrize("line, words", [("--tag old", ""), ("--budget 7.5 --seed 3", "budget=7.5, seed=3"),
     ("--no-calibrate --grey-specular", "grey_specular=True, calibrate=False"),
     ("--fix normal=flat --fix 'diffuse=a b.png'", "fix=('normal=flat', 'diffuse=a b.png')"),
     ("--method gan --preset paper-one-stage --iterations 500",

@@ -19,8 +19,7 @@ JOB = {"activeDeadlineSeconds", "backoffLimit", "rayClusterSpec", "submitterPodT
        "submitterConfig", "managedBy", "deletionStrategy", "entrypoint", "runtimeEnvYAML", "jobId",
        "submissionMode",
        "entrypointResources", "entrypointNumCpus", "entrypointNumGpus", "ttlSecondsAfterFinished",
-       "shutdownAfterJobFinishes",
-       "suspend"}
+       "shutdownAfterJobFinishes", "suspend"}
 CLUSTER = {"headGroupSpec", "workerGroupSpecs", "rayVersion", "enableInTreeAutoscaling", "autoscalerOptions",
            "headServiceAnnotations", "suspend"}
 HEAD = {"serviceType", "headService", "enableIngress", "rayStartParams", "template"}

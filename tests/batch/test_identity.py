@@ -23,8 +23,7 @@ def identity_of(capture, config=None, **options):
     return asked(capture, config, **options).identity
 
 
-@pytest.mark.parametrize("change", [
-    lambda folder: (folder / "target/01.png").write_bytes(b"twO"),
+@pytest.mark.parametrize("change", [lambda folder: (folder / "target/01.png").write_bytes(b"twO"),
     lambda folder: (folder / "target/01.png").unlink(),
     lambda folder: (folder / "target/02.JPG").write_bytes(b"more"),
     lambda folder: (folder / "target/01.png").rename(folder / "target/02.png"),
@@ -37,10 +36,8 @@ def test_it_changes_with_photos_and_calibration(capture, change):
     assert identity_of(capture) != before
 
 
-@pytest.mark.parametrize("change", [
-    lambda folder: (folder / "notes.txt").write_text("mine"),
-    lambda folder: (folder / ".00.png").write_bytes(b"hidden"),
-    lambda folder: (folder / "old").mkdir(),
+@pytest.mark.parametrize("change", [lambda folder: (folder / "notes.txt").write_text("mine"),
+    lambda folder: (folder / ".00.png").write_bytes(b"hidden"), lambda folder: (folder / "old").mkdir(),
     lambda folder: os.utime(folder / "target/00.png", (1, 1)),
     lambda folder: (folder / "target/00.png").chmod(0o600)])
 def test_it_does_not_change_with_anything_else(capture, change):
@@ -105,8 +102,7 @@ def test_a_json_file_in_the_place_of_a_folder_is_read_with_its_photos(capture):
 
 
 @pytest.mark.parametrize("text", ["", "[]", "{", '{"target_dir": 3}', '{"target_dir": "nowhere"}',
-                                  '{"target_dir": "\\u0000"}',
-                                  "[" * 100_000])
+                                  '{"target_dir": "\\u0000"}', "[" * 100_000])
 def test_a_broken_calibration_has_an_identity_and_the_fit_says_what_is_wrong(capture, text):
     (capture / "capture.json").write_text(text)
     assert [path.name for path in capture_files(capture)] == ["capture.json"]

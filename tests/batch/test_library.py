@@ -66,8 +66,7 @@ def test_rows_are_those_of_the_folders_and_of_the_file_for_pandas(ask, library):
 @pytest.mark.parametrize("options, names", [
     ([], ["ash", "oak-10", "oak-2"]), (["--search", "WOOD"], ["oak-10", "oak-2"]),
     (["--search", "sigs"], ["ash"]), (["--state", "failed"], ["ash"]), (["--state", "replaced"], ["oak-2"]),
-    (["--search", "k-1", "--state", "done"], ["oak-10"]),
-    (["--search", "x y"], [])])
+    (["--search", "k-1", "--state", "done"], ["oak-10"]), (["--search", "x y"], [])])
 def test_search_is_by_text_and_state(ask, options, names):
     assert [json.loads(line)["name"] for line in ask("--json", *options)[1]] == names
 

@@ -51,8 +51,7 @@ def test_few_cards_stand_for_all(library, how):
 
 
 @pytest.mark.parametrize("text, state", [("", "failed"), ("OLD wood", ""), ("crashed", "failed"),
-                                         ("no such", ""),
-                                         ("gan", "done"), ("façade", "")])
+                                         ("no such", ""), ("gan", "done"), ("façade", "")])
 def test_a_search_shows_the_rows_that_the_command_lists(library, text, state):
     rows, file = library
     with opened(file, beside=True) as page:

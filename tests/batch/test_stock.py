@@ -57,8 +57,7 @@ def test_what_is_done_is_not_done_again(results, shots):
     assert (names(found), found.done) == (["ash"], 2)
 
 
-@pytest.mark.parametrize("harm, said", [
-    (lambda folder: (folder / RECORD).unlink(), "its record is missing"),
+@pytest.mark.parametrize("harm, said", [(lambda folder: (folder / RECORD).unlink(), "its record is missing"),
     (lambda folder: (folder / RECORD).write_text("{"), "its record is missing"),
     (lambda folder: (folder / "fit.json").unlink(), "fit.json is missing"),
     (lambda folder: (folder / "fit.json").write_text("longer"), "fit.json has changed")])

@@ -73,6 +73,9 @@ def test_where_photos_tell_too_little_nothing_is_said(made):
     assert doubts(wrong.pick([0, 1, 2])) is None
     assert doubts(replace(wrong, calibration="none")) is None
     assert doubts(replace(wrong, photos=torch.full_like(wrong.photos, 0.5))) is None
+    dots = torch.rand(9, 64, 64, 1, generator=torch.Generator().manual_seed(0))
+    for share in (0.1, 0.2, 1.0):  # most cells of 4 x 4 pixels are clipped in all photos
+        assert doubts(replace(made, photos=torch.where(dots < share, 1.0, made.photos))) is None
 
 
 @pytest.mark.parametrize("axes, turn", [

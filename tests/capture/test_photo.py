@@ -11,6 +11,7 @@ from PIL import Image
 from mitsvbrdf.capture.photo import Photo, differences, of_one_camera, photos_in, read_exif
 from mitsvbrdf.capture.read import read_capture
 from mitsvbrdf.errors import CaptureError, InputWarning
+from mitsvbrdf.io.decode import upright
 
 
 def picture(height=40, width=60):
@@ -130,6 +131,15 @@ def test_heic_is_given_as_the_sensor_saw_it(orientation, tmp_path):
     (tmp_path / "b.heic").write_bytes((tmp_path / "a.heic").read_bytes()[:300])
     with pytest.raises(CaptureError, match="b.heic"):
         Photo.open(tmp_path / "b.heic").pixels()
+
+
+def test_a_mirrored_heic_is_shown_as_elsewhere(tmp_path):
+    pytest.importorskip("pillow_heif", reason='needs pip install "mitsvbrdf[heic]"').register_heif_opener()
+    for orientation in (2, 5):
+        Image.fromarray(picture()).save(tmp_path / "a.heic", quality=95, exif=exif(orientation))
+        photo = Photo.open(tmp_path / "a.heic")
+        shown = np.asarray(Image.open(tmp_path / "a.heic"))
+        assert np.array_equal(upright(photo.pixels(), photo.orientation), shown)
 
 
 def dng(path, mosaic, flip=1, white=4000, neutral=(1, 1, 1)):

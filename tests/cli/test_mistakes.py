@@ -73,8 +73,7 @@ def test_damaged_photos_are_named_and_refused_when_strict(copy, tmp_path, capsys
     assert len(said) == 1 and said[0].startswith("warning: ") and "02.jpg is damaged" in said[0]
 
 
-@pytest.mark.parametrize("options, word", [
-    (["fit", "PHOTOS", "--similarity", "1e300"], "similarity"),
+@pytest.mark.parametrize("options, word", [(["fit", "PHOTOS", "--similarity", "1e300"], "similarity"),
     (["fit", "PHOTOS", "--resolution", "1000000"], "resolution"),
     (["fit", "PHOTOS", "--method", "hybrid", "--width", "999999"], "width"),
     (["capture", "PHOTOS", "--sheet", "1e300"], "sheet"),

@@ -33,8 +33,7 @@ TYPES = {".js": "text/javascript", ".html": "text/html", ".png": "image/png", ".
 # What a client reads of the export -> why it cannot show all of a material, where that is so.
 LIMITS = {
     "three.js, USD": "it doubles normals (takes the texture's scale for normalScale) and reads no texture "
-                     "of the index",
-    "Blender, USD": "its importer reads no coloured F0",
+                     "of the index", "Blender, USD": "its importer reads no coloured F0",
     "Blender, maps": "no F0 above 0.08, and no coloured one: Specular IOR Level ends at 1"}
 
 
@@ -123,10 +122,8 @@ def mitsuba(folder: Path, resolution: int) -> Tensor:
 
 
 CLIENTS: dict[str, Callable[[Path, int], Tensor]] = {
-    "Mitsuba, scene.xml": mitsuba,
-    "Blender, glTF": blender("gltf/material.glb"),
-    "Blender, USD": blender("usd/patch.usda"),
-    "Blender, maps": blender("maps"),
+    "Mitsuba, scene.xml": mitsuba, "Blender, glTF": blender("gltf/material.glb"),
+    "Blender, USD": blender("usd/patch.usda"), "Blender, maps": blender("maps"),
     "three.js, glTF": browser("in_three", "gltf/material.glb"),
     "three.js, MaterialX": browser("in_materialx", "materialx/material.mtlx"),
     "three.js, OpenPBR": browser("in_materialx", "materialx/openpbr.mtlx"),

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 from helpers import ANALYTIC, MITSUBA, photos_of
+from helpers.hierarchical_fits import method_of, reached
 
 from mitsvbrdf.calibrate.refine import Priors, refine_views
 from mitsvbrdf.capture import guess_diffuse
@@ -15,7 +16,7 @@ from mitsvbrdf.fit.direct import Direct
 from mitsvbrdf.fit.generator.hybrid import Hybrid
 from mitsvbrdf.fit.generator.pictures import PictureSource
 from mitsvbrdf.fit.hierarchical import Hierarchical
-from mitsvbrdf.fit.hierarchical.stages import unexplained
+from mitsvbrdf.fit.hierarchical.stages import Stage, unexplained
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.rerender import rerender
 
@@ -60,6 +61,13 @@ def test_a_photo_that_is_masked_whole_tells_nothing_of_its_view(made, shots):
     wanted = torch.tensor([*priors.camera, *priors.flash, priors.exposure], dtype=torch.float64)
     assert torch.allclose(found.deviation[4], wanted, rtol=1e-6) and found.change[4].abs().max() < 1e-9
     assert (found.deviation[0] < 0.9 * wanted).any()
+
+
+@pytest.mark.slow
+def test_cross_validation_of_masked_photos_whose_side_is_no_multiple_of_64():
+    shots = photos_of(make_material("tiles", 66))
+    method = method_of(replace(shots, measured=shots.photos[..., 0] < 0.9), exact=False)
+    assert reached(Stage.FINE, method).stages.detail > 0
 
 
 def test_rounds_of_the_fit(shots):

@@ -205,6 +205,18 @@ def test_lobes_are_as_wide_as_the_photo_asks_for(misses, taken, monkeypatch):
     assert torch.equal(found, material(texels, taken * lost, 8)["roughness"])
 
 
+@pytest.mark.parametrize("falloff", ["inverse-square", "none"])
+def test_the_views_found_give_the_light_of_the_classes(falloff):
+    photo = photo_of_noise(8).but(views=replace(default_views(1), falloff=falloff), calibration="none")
+    method = make_method(FitTask(photo, make_renderer("analytic"), HierarchicalConfig(stationary=True)))
+    method.done_steps = 10**6
+    with torch.no_grad():
+        method.numbers += 0.2  # so that the place and the power of the flash change
+    half, white = LookClasses(method.numbers.detach(), method.views, False).lit(method.pixels.at)
+    found = LookClasses(method.numbers.detach(), method.estimate()[1], True).lit(method.pixels.at)
+    torch.testing.assert_close((half, white), found)
+
+
 @pytest.mark.slow
 def test_place_and_height_of_the_flash_come_from_the_photo():
     random = 0.2 + 0.3 * torch.rand(64, 64, generator=torch.Generator().manual_seed(0))

@@ -12,14 +12,12 @@ from mitsvbrdf.material.maps import flat
 RECORD = {"schema_version": 1, "method": "direct", "renderer": "analytic", "variant": None,
     "bsdf": "roughconductor", "rerender_rmse": 0.1, "per_photo": {"00": 0.1}, "calibrated_rmse": None,
     "confidence": {"diffuse": {"median_sd": 0.1, "determined_share": 1.0}}, "burn_in": {"diffuse": 0.0},
-    "warnings": [],
-    "stopped": "iterations", "undone_steps": 0, "undone": [], "seconds": 1.0, "iterations": 1,
+    "warnings": [], "stopped": "iterations", "undone_steps": 0, "undone": [], "seconds": 1.0, "iterations": 1,
     "seed": 0, "config": {"fix": [], "grey_specular": False}, "command": {}, "omitted": [], "used": [],
     "capture": {"name": "shots", "photos": [0], "resolution": 8, "transfer": "srgb", "calibrated": True,
                 "notes": []},
     "views": {"size": 1.0, "falloff": "inverse-square", "camera": [[0, 0, 2]], "light": [[0, 0, 2]],
-              "intensity": [[1, 1, 1]]},
-    "flash_offset": {"x": 0.1, "y": 0.0, "unit": "patch sides"},
+              "intensity": [[1, 1, 1]]}, "flash_offset": {"x": 0.1, "y": 0.0, "unit": "patch sides"},
     "calibration": {"from": "given", "estimated": False, "refined": False, "power_told": None},
     "versions": {}, "machine": {}, "trace": [{"seconds": 1.0, "iteration": 1, "rerender_rmse": 0.1}]}
 OTHERS = (None, True, -1, 1.5, 10**400, "x", [], [1], ["x"], {}, {"a": None}, ...)

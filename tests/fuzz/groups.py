@@ -138,8 +138,7 @@ def fits() -> Drawn[Case]:
     ways = st.one_of(*map(stated, paths[:1] * 4 + paths[1:]), replaced(*paths, "in/fit/maps", "in/fit/photos",
                                                                        "in/fit/guess"))
     reading = cases("fit", "fit capture", ways, "evaluate ../in/fit --capture ../in/capture --renderer "
-                                                "analytic",
-                    "render ../in/fit -o out --renderer analytic",
+                                                "analytic", "render ../in/fit -o out --renderer analytic",
                     "export ../in/fit -o out --to maps --no-preview",
                     "compare ../in/fit --capture ../in/capture -o out --renderer analytic --resolution 16",
                     most=2)
@@ -180,8 +179,7 @@ def relights() -> Drawn[Case]:
             "state", path=path, steps=st.just([2, 0, 1, 0, 1]), raw=names.map(json.dumps)))
     light = st.sampled_from(("in/exr/diffuse.exr", "in/exr/light.hdr"))
     lit = f"relight ../in/fit -o out --explain {RELIT} --environment ../"
-    return st.one_of(
-        cases("relight", "fit relit", ways, f"relight ../in/fit -o ../in/relit --resume {RELIT}",
+    return st.one_of(cases("relight", "fit relit", ways, f"relight ../in/fit -o ../in/relit --resume {RELIT}",
               out="in/relit", most=2),
         light.flatmap(lambda path: cases("relight", "fit exr maps", pictures(path, path, "in/maps", "in/exr"),
                                          lit + path, most=2)))

@@ -8,15 +8,13 @@ DIRECT = "--method direct --renderer analytic --resolution 16 --iterations 2"
 RELIT = "--preset sphere --size 8 --samples 1"
 
 # Tokens of JSON, and some that JSON has not.
-TOKENS = (
-    "null", "true", "0", "-1", "1", "0.5", "1e308", "-1e308", "1e400", "NaN", "Infinity", "-Infinity",
+TOKENS = ("null", "true", "0", "-1", "1", "0.5", "1e308", "-1e308", "1e400", "NaN", "Infinity", "-Infinity",
     "1e-320", "9" * 30,
     "9" * 400, "9" * 5000, '""', '"x"', r'"\ud800"', r'"a\u0000b"', r'"\u001b[31m"', '"../../outside"',
     '"../../outside/secret.txt"', '"@@/outside"', '"@@/outside/secret.txt"', '"/dev/zero"',
     '"' + "n" * 300 + '"', "[]", "{}",
     "[[]]", "[null]", "[1]", "[1, 2, 3]", "[[1, 2, 3]]", "[[NaN, 0, 1]]", '{"": {}}', '{"a": 1, "a": 2}',
-    '{"x": "y"}', "[1,",
-    '"', "\u00ff")
+    '{"x": "y"}', "[1,", '"', "\u00ff")
 # Content that is no JSON, or not that of any of our files.
 TEXTS = ("", "[]", "null", "{", "\udcff", "1", '""', "\ufeff{}")
 # Names in a list of files; most lead outside, from a folder that lies two below that of the case.
@@ -25,14 +23,12 @@ NAMES = ("../../outside/secret.txt", "../../outside/folder", "../../outside/fold
     "..", ".", "", "a\0b", "n" * 300, "\ud800", "fit.json", "maps", "maps/diffuse.exr", "diffuse.exr",
     "diffuse.png")
 # Values of options.
-WORDS = (
-    "", " ", "nan", "inf", "-inf", "1e300", "-1e300", "1e400", "-1", "0", "1", "0.5", "1e-320", "9" * 20,
+WORDS = ("", " ", "nan", "inf", "-inf", "1e300", "-1e300", "1e400", "-1", "0", "1", "0.5", "1e-320", "9" * 20,
     "9" * 400, "9" * 5000,
     "0x10", "1_000", "1e3", "2147483648", "-2147483649", "4294967296", "65536", "100000", "1,2", "0,0",
     "0,1,77", ",", "1,,2",
     "None", "True", "False", "none", "all", "auto", "=", "a=b", "--", "-", "-x", "\x1b[31m", "\x07", "a\nb",
-    "\udcff",
-    "\udcff.png", "x.json", "sub/x.json", "é", "💥", "\u202e", "n" * 300, "n" * 5000, "%s%n", "{}",
+    "\udcff", "\udcff.png", "x.json", "sub/x.json", "é", "💥", "\u202e", "n" * 300, "n" * 5000, "%s%n", "{}",
     "{0.__class__}", "$(id)",
     ";", "[red]", "[/]", "/dev/null", "/dev/zero", "/dev/full", "builtin:inlay", "builtin:", "s3://",
     "file://x",
@@ -46,8 +42,7 @@ LINES = (
     "list.txt", "../../outside", "@@/outside/folder", "s3://bucket/x", "file:///dev/zero", "../nothing",
     "\x1b]0;x\x07", *(f"../capture {own}" for own in (
         "--views 77", "--resolution nan", "--tag", "-o x", "--help", "--iterations 1e9", "--budget -1",
-        "--sheet inf", "\udcff",
-        "--fix normal=../../outside/secret.txt")),
+        "--sheet inf", "\udcff", "--fix normal=../../outside/secret.txt")),
     "../capture/capture.json", "../capture/target/00.png")
 # Sides of pictures, in pixels.
 SIZES = ((0, 0), (1, 1), (7, 7), (16, 17), (65535, 65535), (2**31 - 1, 2**31 - 1), (15000, 15000),

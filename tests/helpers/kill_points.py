@@ -30,8 +30,7 @@ REFIT = dict.fromkeys(("maps/a.exr", "maps/c.exr", "photos/00.png", "fit.json", 
 FRAMES = {"relight.json": "1", "sweep/0000.exr": "1"}
 # Options of the folder, what an earlier command wrote, and what the command writes.
 SHAPES = {
-    "fit": ({"overwrite": True}, FIT, REFIT),
-    "fit by renames": ({"overwrite": True}, FIT, REFIT),
+    "fit": ({"overwrite": True}, FIT, REFIT), "fit by renames": ({"overwrite": True}, FIT, REFIT),
     "export": ({"overwrite": True}, {"gltf/m.glb": "1", "preview.png": "1"},
                {"usd/m.usda": "2", "preview.png": "2"}),
     "relight": ({"overwrite": True, "resume": True, "keep": ("relight.json", "sweep")}, FRAMES,

@@ -49,19 +49,16 @@ def random_row(k: int, random: np.random.Generator, state: str, date: str) -> di
                                                                                   0.8),
         "burn_in": number(random.beta(1, 12), 0.8),
         "warnings": random.choice(WARNINGS, random.choice([0, 0, 0, 1, 2]), replace=False).tolist() if fitted
-        else [],
-        "seconds": round(random.lognormal(3.6, 0.4), 2) if ended else None,
+        else [], "seconds": round(random.lognormal(3.6, 0.4), 2) if ended else None,
         "attempts": int(random.choice([1, 1, 1, 1, 2, 3])) if ended else 0, "date": date if ended else None,
         "tags": [kind, *(["old wood"] if random.random() < 0.05 else [])],
         "method": "gan" if random.random() < 0.2 else "hierarchical", "resolution": 512
-        if random.random() < 0.3 else 256,
-        "photos": int(random.integers(1, 12)),
+        if random.random() < 0.3 else 256, "photos": int(random.integers(1, 12)),
         "host": f"node-{random.integers(3)}" if ended else None,
         "source": f"captures/{kind}/{name}", "options": "--budget 60",
         "reason": str(random.choice(REASONS)) if state == "failed" else "",
         "preview": f"{folder}/preview.jpg" if fitted else None, "report": f"{folder}/report.html" if fitted
-        else None,
-        "log": f"{folder}/log.txt" if state == "failed" else None}
+        else None, "log": f"{folder}/log.txt" if state == "failed" else None}
 
 
 def write_page(folder: Path, rows: list[dict], title: str = "A library", progress: str = "") -> None:

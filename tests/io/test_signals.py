@@ -38,22 +38,16 @@ def test_a_job_in_the_background_hears_sigterm_only():
     assert signal.getsignal(signal.SIGINT) == signal.SIG_IGN
 
 
-def test_somebody_else_listens():
+@pytest.mark.parametrize("theirs, ours", [(signal.SIGINT, None), (signal.SIGTERM, signal.SIGINT)])
+def test_a_programs_own_handler_stays(theirs, ours):
     heard = []
-    signal.signal(signal.SIGINT, lambda *_: heard.append(1))
+    signal.signal(theirs, lambda *_: heard.append(1))
     with stop_signals() as stop:
-        signal.raise_signal(signal.SIGINT)
+        signal.raise_signal(theirs)
         assert heard and not stop
-
-
-def test_a_programs_own_handler_of_sigterm_stays():
-    heard = []
-    signal.signal(signal.SIGTERM, lambda *_: heard.append(1))
-    with stop_signals() as stop:
-        signal.raise_signal(signal.SIGTERM)
-        assert heard and not stop
-        signal.raise_signal(signal.SIGINT)
-        assert stop
+        if ours:
+            signal.raise_signal(ours)
+            assert stop
 
 
 def test_a_handler_that_was_set_in_c_stays(monkeypatch):

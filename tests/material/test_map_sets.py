@@ -75,6 +75,9 @@ def test_both_parameter_sets_with_plain_names_are_those_of_libraries(tmp_path):
             found = load_maps(folder, bsdf)
         assert found["roughness"][0, 0].item() == pytest.approx(117 / 255)
         assert found[name][0, 0, 0].item() == pytest.approx(((level / 255 + 0.055) / 1.055) ** 2.4, abs=1e-6)
+    (folder / "basecolor.png").unlink()  # a metallic map is used beside a diffuse one, too
+    with pytest.warns(AssumedWarning):
+        assert load_maps(folder, "principled")["metallic"][0, 0].item() == pytest.approx(20 / 255)
 
 
 def test_the_fields_names_keep_gamma_and_say_so(tmp_path):

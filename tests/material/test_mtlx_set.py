@@ -107,8 +107,7 @@ def test_f0_is_a_product_and_the_base_gets_what_the_highlight_leaves(inputs, f0,
     (image("c") + '<multiply name="x" type="color3"><input name="in1" nodename="c"/>'
      + valued("in2", 0.5) + "</multiply>", srgb(188) / 2),
     (image("grey", "float") + '<convert name="x" type="color3"><input name="in" nodename="grey"/></convert>',
-     0.2),
-    (image("c", "color3", "gltf_image", valued("factor", "0.25, 1, 1", "color3")), srgb(188) / 4),
+     0.2), (image("c", "color3", "gltf_image", valued("factor", "0.25, 1, 1", "color3")), srgb(188) / 4),
     (image("orm", "vector3") + '<extract name="x" type="float"><input name="in" nodename="orm"/>'
      + valued("index", 1, "integer") + "</extract>", 128 / 255),
     ('<constant name="x" type="color3"><input name="value" type="color3" value="0.5, 0.5, 0.5" '

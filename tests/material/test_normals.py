@@ -80,6 +80,7 @@ def test_of_level_normals_the_sign_hardly_shows_and_nothing_is_said():
     noise = 0.002 * torch.randn(SIDE, SIDE, 2, generator=torch.Generator().manual_seed(0))
     level = torch.nn.functional.normalize(torch.cat((noise, torch.ones(SIDE, SIDE, 1)), dim=-1), dim=-1)
     assert directx_by_curl(level) is False
+    assert directx_by_curl(torch.tensor([128, 128, 255]).expand(SIDE, SIDE, 3) / 127.5 - 1) is False
 
 
 def test_the_curl_of_published_normals(data_folder):

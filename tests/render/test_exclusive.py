@@ -152,8 +152,7 @@ def photographed():
 
 
 @pytest.mark.parametrize("make", [partial(drawn, "mitsuba"), partial(drawn, "mitsuba-scene"), solved,
-                                  photographed],
-                         ids=[*NAMES, "solver", "phone"])
+                                  photographed], ids=[*NAMES, "solver", "phone"])
 def test_what_a_thread_forgets_is_freed_by_one_that_holds_the_lock(make):
     # Dr.Jit frees nothing beside another thread: in 3 of 100 processes of eight threads it crashed or waited
     # for ever.

@@ -92,6 +92,9 @@ def test_update_where_nothing_can_be_written_says_so(suite):
 def test_a_spoilt_golden_file_is_an_error_not_a_match(accepted):
     (accepted.golden / "grey.exr").write_bytes(b"half a file")
     assert "expected a golden EXR file" in accepted.run("-k", "picture", failed=1, deselected=2)
+    picture = {"RGB": np.full((4, 5, 3), math.nan, np.float32)}
+    OpenEXR.File({"type": OpenEXR.scanlineimage}, picture).write(str(accepted.golden / "grey.exr"))
+    assert "60 of 60 values are off" in accepted.run("-k", "picture", failed=1, deselected=2)
 
 
 @pytest.mark.parametrize("channels", [("R", "B"), ("G",), ("normal.R", "normal.G")])
@@ -126,8 +129,7 @@ def test_flip_may_decide_alone(suite):
 
 
 @pytest.mark.parametrize("result, name, error, said", [
-    (torch.zeros(4, 4), "a", MapsError, "H x W x 3"),
-    (torch.zeros(0, 4, 4, 3), "a", MapsError, "H x W x 3"),
+    (torch.zeros(4, 4), "a", MapsError, "H x W x 3"), (torch.zeros(0, 4, 4, 3), "a", MapsError, "H x W x 3"),
     (torch.full((4, 4, 3), math.nan), "a", AssertionError, "not finite"),
     (torch.zeros(4, 4, 3), "../a", ConfigError, "file name"),
     (torch.zeros(4, 4, 3), "", ConfigError, "file name"), (torch.zeros(4, 4, 3), "n" * 101, ConfigError,

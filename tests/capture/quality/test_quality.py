@@ -189,6 +189,13 @@ def test_numbers_do_not_depend_on_the_unit_of_length(shots):
             assert getattr(a, key) == pytest.approx(getattr(b, key), abs=1e-4)  # float32 rounds differently
 
 
+def test_small_photos_are_judged(shots):
+    few = shots.averaged(16)
+    of_each = (photo_qualities(each.photos, each.views, each.transfer, dict.fromkeys(NAMES, 1.0))
+               for each in (few, shots))
+    assert all(a.stops == pytest.approx(b.stops, abs=0.1) for a, b in zip(*of_each))
+
+
 def test_detail_of_whole_photos(shots):
     photo = (shots.photos[0].numpy() * 255).round().astype(np.uint8)
     assert detail_of(cv2.GaussianBlur(photo, (0, 0), 2)) < 0.4 * detail_of(photo)

@@ -100,8 +100,7 @@ def settings_of(options):
         "fix": tuple(item for one in several for item in one.get("fix", ()))}
 
 
-@pytest.mark.parametrize("options, kind", [
-    *mostly_slow(TOGETHER.items(), *QUICK), *mostly_slow((
+@pytest.mark.parametrize("options, kind", [*mostly_slow(TOGETHER.items(), *QUICK), *mostly_slow((
         *((name, "phone") for name in OPTIONS),
         *((name, "exact") for name in ("grey", "principled", "fix normal", "fix metallic")),
         *((name, kind) for name in OF_TWO_SIZES for kind in ("phone, two sizes", "exact, two sizes"))))])

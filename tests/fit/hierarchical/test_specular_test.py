@@ -87,8 +87,7 @@ def test_a_matte_material_is_fitted_without_a_lobe(settings):
     assert off < 0.005  # a step of 8 bits is 0.004
 
 
-@pytest.mark.parametrize("settings", [
-    {"fix": ("roughness=0.5",)}, {"fix": ("specular=0.04",)},
+@pytest.mark.parametrize("settings", [{"fix": ("roughness=0.5",)}, {"fix": ("specular=0.04",)},
     *(pytest.param(each, marks=pytest.mark.slow) for each in ({"bsdf": "principled"}, {"exact": False}))])
 def test_who_is_not_asked(settings, black):
     method = left_alone(black, **settings)

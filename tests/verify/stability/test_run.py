@@ -81,8 +81,7 @@ def changed(**errors):
     return GOOD | {"errors": GOOD["errors"] | errors}
 
 
-@pytest.mark.parametrize("expected, why, figures, options", [
-    ("exact", "", GOOD, {}),
+@pytest.mark.parametrize("expected, why, figures, options", [("exact", "", GOOD, {}),
     ("clamped", "alpha", GOOD, {"clamps": ["alpha"]}),
     ("degraded", "roughness", changed(roughness=5 * GRADIENT), {"limit": {"roughness": 6 * GRADIENT}}),
     ("degraded", "image", changed(image=5 * IMAGE), {"limit": {"image": 6 * IMAGE}, "clamps": ["alpha"]}),
