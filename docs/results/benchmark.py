@@ -134,14 +134,16 @@ def page(record: dict) -> str:
 Fits at 256 px through `mitsuba` on {record['machine']}, version {versions}. `hierarchical` is \
 the default method; `{PEERS}` is the per-texel Adam of svbrdf-diff-renderer. No fit sees held-out photos. \
 They are predicted with the stated views, and the flash offset of fits that find one. *Published*: errors of \
-published predictions.
+published predictions. Photos seen are rendered with the views that the fit ended with; `{PEERS}` holds the \
+stated ones. Seconds are of the loop.
 
 ![Error against seconds](benchmark.svg)
 
 {markdown(held, published)}
 Where MaterialGAN saw all nine photos, no photo is held out. `gan` begins at the maps of the \
-default, and changes a map only if held-out photos are predicted better. `direct` and the baseline draw \
-no random numbers; `hybrid` has one seed. What was not run was left out for lack of machine time.
+default, and changes a map only if patches of the photos seen, held out in turn, are predicted better. \
+`direct` and the baseline draw no random numbers; `hybrid` has one seed. What was not run was left out for \
+lack of machine time.
 
 ## Each capture, held-out photos 7 and 8
 

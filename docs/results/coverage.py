@@ -66,8 +66,8 @@ line both are equal. Below it a fit is better than it says; above it, worse.
 {len(record["cases"])} fits of the default method to made and known materials, nine 8-bit photos, sensor \
 noise of 0, 0.003 and 0.01 (linear). 68 % would be right. F0 *own* is the material's, else it is the same \
 everywhere. *Own photos*: by what the texel's photos leave open. *With look-alikes*: the error to expect. A \
-highlight is *seen* where a photo shows half of its peak. Where look-alikes told the answer, the deviation \
-by own photos is larger than its error.
+highlight is *seen* where a photo shows a quarter of its peak. If look-alikes gave the answer, a texel's \
+own photos overstate its error.
 
 ## Determined, and of these off by more than three deviations
 
@@ -111,8 +111,8 @@ def in_numbers(name: str, value: torch.Tensor) -> torch.Tensor:
     return (value[..., :2] + 1) / 2 if name == "normal" else value
 
 
-def shown_half(truth, views) -> torch.Tensor:  # noqa: ANN001
-    """Whether a photo shows a texel's lobe at half its peak or more, R x R."""
+def shown_lobe(truth, views) -> torch.Tensor:  # noqa: ANN001
+    """Whether a photo shows a texel's lobe at a quarter of its peak or more, R x R."""
     side = truth.resolution
     x = (torch.arange(side) + 0.5) / side - 0.5
     place = torch.stack((*torch.meshgrid(x, -x, indexing="xy"), torch.zeros(side, side)), dim=-1)
@@ -124,7 +124,7 @@ def shown_half(truth, views) -> torch.Tensor:  # noqa: ANN001
 
 def counted(truth, found, views, own: dict, alike: dict, curves: dict) -> dict:  # noqa: ANN001
     """Counts of all texels, by group and map; histograms of errors are added to ``curves``."""
-    seen, metal = shown_half(truth, views), truth["specular"].mean(-1) > METAL
+    seen, metal = shown_lobe(truth, views), truth["specular"].mean(-1) > METAL
     masks = dict(zip(GROUPS, (torch.ones_like(metal), ~metal & seen, ~metal & ~seen, metal & seen,
                               metal & ~seen)))
     counts: dict = {group: {} for group in GROUPS}
