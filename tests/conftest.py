@@ -1,8 +1,11 @@
 """Fixtures for all tests."""
 
+import contextlib
+import ctypes
 import functools
 import hashlib
 import os
+import pickle
 import signal
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # of a job in the background; the tests press Ctrl-C
@@ -26,9 +29,23 @@ os.environ.update(ALONE, RAY_AUTH_TOKEN=os.urandom(32).hex())
 os.fsync = lambda descriptor: None
 pytest.register_assert_rewrite("helpers")
 
-# The plugin under test also comes through its entry point where the package is installed; pytest then loads
-# it once.
+# The plugin under test also comes through its entry point in an installed package; pytest loads it once.
 pytest_plugins = ["mitsvbrdf.testing.plugin", "pytester"]
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """LLVM compiles kernels of quick tests without its optional passes, in a third of the time. Slow tests,
+    and commands in processes of their own, have them compiled as users do.
+    """
+    from mitsvbrdf.errors import BackendError
+    from mitsvbrdf.render.llvm import use_llvm
+
+    with contextlib.suppress(BackendError):  # each test says so that needs it
+        if config.option.markexpr == "not slow" and use_llvm().version.startswith("19."):
+            options = b"tests", b"-opt-bisect-limit=0", b"-opt-bisect-verbose=false", b"-regalloc=fast"
+            given = (ctypes.c_char_p * len(options))(*options)
+            ctypes.CDLL(use_llvm().path).LLVMParseCommandLineOptions(len(options), given, None)
+            os.environ["DRJIT_CACHE_DIR"] = str(config.rootpath / ".pytest_cache" / "kernels")
 
 
 @pytest.fixture(scope="session")
@@ -65,9 +82,7 @@ def two_threads() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def coarse_spheres() -> None:
-    """The sphere of each page and each export is drawn with one ray a pixel instead of 16, a second of work
-    less.
-    """
+    """The sphere of each page and each export has one ray a pixel instead of 16: a second of work less."""
     from mitsvbrdf.relight import stage
 
     stage.SAMPLES = 1
@@ -75,9 +90,7 @@ def coarse_spheres() -> None:
 
 @pytest.fixture(scope="session", autouse=True)
 def materials_painted_once() -> None:
-    """A made material is painted once a process and seed: a third of a second, the third of some folders'
-    time. It becomes maps anew each time.
-    """
+    """A made material is painted once a process and seed: a third of a second. It becomes maps each time."""
     from mitsvbrdf.material.made import MATERIALS
 
     def kept(paint):
@@ -108,21 +121,16 @@ def painted_anew(monkeypatch):
 
 @pytest.fixture(scope="session", autouse=True)
 def photos_guessed_once() -> None:
-    """A fit's guess of photos that were fitted before is the one made then: a third of a second, the fifth of
-    a short fit.
-    """
+    """A guess of photos that were fitted before is the one made then: a third of a second of a fit."""
     from mitsvbrdf.fit import task
 
     guess, made = task.guess_diffuse, {}
 
     def guessed(capture, method):
-        views = capture.views
-        key = hashlib.sha256(repr((method, capture.transfer, capture.photos.shape, views.size,
-                                   views.falloff)).encode())
-        for values in (capture.photos, views.camera, views.light, views.intensity):
-            key.update(values.detach().contiguous().numpy())
-        if key.digest() not in made:
-            made[key.digest()] = guess(capture, method)
-        return made[key.digest()].clone()
+        told = pickle.dumps((method, capture.transfer, capture.photos.detach(), capture.views))
+        key = hashlib.sha256(told).digest()
+        if key not in made:
+            made[key] = guess(capture, method)
+        return made[key].clone()
 
     task.guess_diffuse = guessed

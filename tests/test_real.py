@@ -56,7 +56,7 @@ def test_known_materials_come_back(data_folder):
     # tables 1 and 2, and peers.json). Measured: see README.
     views, errors = read_capture(data_folder / "captures/cards-blue").views, []
     for folder in sorted((data_folder / "materials").iterdir()):
-        capture = photograph(load_maps(folder).resized(256), views, make_renderer("mitsuba"))
+        capture = photograph(load_maps(folder).resized(128), views, make_renderer("mitsuba"))
         result = fit_svbrdf(capture, make_renderer("mitsuba"), HierarchicalConfig(budget=300))
         errors.append(evaluate_maps(result.svbrdf, folder))
         print(folder.name, errors[-1])

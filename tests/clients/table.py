@@ -14,6 +14,7 @@ from clients.programs import CLIENTS, compared, exported, truth
 from helpers.exported import gilt_plates
 from PIL import Image
 
+from mitsvbrdf.bench.run import version
 from mitsvbrdf.color import to_display
 from mitsvbrdf.io import files
 from mitsvbrdf.material.made import make_material
@@ -59,7 +60,8 @@ def main() -> None:
     materials = {"gilt plates": gilt_plates(256), "inlay": make_material("inlay", 256)}
     materials |= {folder.name: load_maps(folder) for folder in given.fits}
     pictured = tuple(name for name in given.pictured.split(",") if name in materials)
-    record = {"materials": measured(materials, pictured, given.out), "pictured": pictured}
+    record = {"materials": measured(materials, pictured, given.out), "pictured": pictured,
+              "version": version()}
     files.write_bytes(given.out / "clients.json", (json.dumps(record, indent=1) + "\n").encode())
 
 

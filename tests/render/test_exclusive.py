@@ -49,6 +49,31 @@ def in_threads(work, count):
         return list(pool.map(begun, range(count)))
 
 
+@contextlib.contextmanager
+def another_thread_draws():
+    """Another thread holds the lock of Mitsuba meanwhile."""
+    held, done = threading.Event(), threading.Event()
+
+    def draw():
+        with using_mitsuba():
+            held.set()
+            assert done.wait(30)
+
+    with ThreadPoolExecutor(2) as pool:
+        other = pool.submit(draw)
+        assert held.wait(10)
+        yield pool, done
+        done.set()
+        other.result()
+
+
+def assert_free():
+    """Another thread gets the lock of the process."""
+    with ThreadPoolExecutor(1) as pool:
+        assert pool.submit(PROCESS.acquire, timeout=5).result()
+        pool.submit(PROCESS.release).result()
+
+
 def assert_threads_draw_what_one_draws(count):
     shared = {name: make_renderer(name) for name in NAMES}
     expected = {(name, seed): picture(shared[name], seed) for name in NAMES for seed in range(MATERIALS)}
@@ -158,25 +183,14 @@ def test_what_a_thread_forgets_is_freed_by_one_that_holds_the_lock(make):
     # for ever.
     with using_mitsuba():
         gc.collect()
-    held, done = threading.Event(), threading.Event()
-
-    def draw():
-        with using_mitsuba():
-            held.set()
-            assert done.wait(30)
-
     at_first, made = arrays(), make()
     with using_mitsuba():
         pass
-    with ThreadPoolExecutor(1) as pool:
-        at_most = arrays()
-        other = pool.submit(draw)
-        assert held.wait(10)
+    at_most = arrays()
+    with another_thread_draws():
         del made
         gc.collect()
         left = arrays()
-        done.set()
-        other.result()
     with using_mitsuba():
         pass
     assert left == at_most > at_first >= arrays()
@@ -231,29 +245,15 @@ def test_ctrl_c_while_another_thread_draws():
     # Whoever waits for the lock is interrupted, and does not keep it; after a render of Mitsuba, too, which
     # sets handlers.
     make_renderer("mitsuba-scene").render(random_material("roughconductor", 8), GRID.pick([0]))
-    held, done = threading.Event(), threading.Event()
-
-    def draw():
-        with using_mitsuba():
-            held.set()
-            assert done.wait(10)
-
-    def press():  # until it is heard: an interrupt that comes just before the wait begins is heard after it
+    def press(done):  # until it is heard: one that comes just before the wait begins is heard after it
         while not done.wait(0.1):
             os.kill(os.getpid(), signal.SIGINT)
 
-    with ThreadPoolExecutor(2) as pool:
-        other = pool.submit(draw)
-        assert held.wait(10)
-        with pytest.raises(KeyboardInterrupt):
-            pool.submit(press)
-            with using_mitsuba():
-                pass
-        done.set()
-        other.result()
-    with ThreadPoolExecutor(1) as pool:
-        assert pool.submit(PROCESS.acquire, timeout=5).result()
-        pool.submit(PROCESS.release).result()
+    with another_thread_draws() as (pool, done), pytest.raises(KeyboardInterrupt):
+        pool.submit(press, done)
+        with using_mitsuba():
+            pass
+    assert_free()
 
 
 def test_ctrl_c_at_any_moment_frees_the_lock():
@@ -271,9 +271,7 @@ def test_ctrl_c_at_any_moment_frees_the_lock():
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
         signal.signal(signal.SIGALRM, before)
-    with ThreadPoolExecutor(1) as pool:
-        assert pool.submit(PROCESS.acquire, timeout=5).result()
-        pool.submit(PROCESS.release).result()
+    assert_free()
 
 
 def test_a_map_changed_in_place_before_the_backward_pass_is_refused():
