@@ -49,7 +49,8 @@ def page(record: dict) -> str:
 
 Blender 4.5 (Cycles), three.js r187 and model-viewer 4.4 in headless Chromium, Mitsuba 3.9, each through \
 its own importer at 256 px, one point light, against the analytic renderer. `gilt plates` and `inlay` are \
-made (metals, coloured dielectrics, F0 below 0.04); the others are fits of captures. Three clients cannot \
+made (metals, coloured dielectrics, F0 below 0.04); the others are fits of captures. \
+The exports are those of version {record["version"]}. Three clients cannot \
 show all of a material:
 
 {limits}

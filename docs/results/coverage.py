@@ -63,7 +63,8 @@ line both are equal. Below it a fit is better than it says; above it, worse.
 
 {table}
 
-{len(record["cases"])} fits of the default method to made and known materials, nine 8-bit photos, sensor \
+{len(record["cases"])} fits of the default method (version {record["versions"]["mitsvbrdf"]}) to \
+made and known materials, nine 8-bit photos, sensor \
 noise of 0, 0.003 and 0.01 (linear). 68 % would be right. F0 *own* is the material's, else it is the same \
 everywhere. *Own photos*: by what the texel's photos leave open. *With look-alikes*: the error to expect. A \
 highlight is *seen* where a photo shows a quarter of its peak. If look-alikes gave the answer, a texel's \
@@ -184,6 +185,7 @@ def empty() -> dict:
 def measure(record: dict) -> dict:
     """Fit noisy 8-bit photos of known materials, and count."""
     from mitsvbrdf import SVBRDF, HierarchicalConfig, fit_svbrdf, make_material, make_renderer
+    from mitsvbrdf.bench.run import version
     from mitsvbrdf.bench.tasks import data_folder, find_tasks
 
     data, renderer, curves, found = data_folder(), make_renderer("mitsuba"), empty(), []
@@ -202,7 +204,7 @@ def measure(record: dict) -> dict:
                          curves)
         found.append({"material": material, "f0": level, "noise": noise, "side": side, "groups": groups})
         print(material, level, noise, flush=True)
-    return {**record, "schema_version": 2, "cases": found, "curves": curves}
+    return {"schema_version": 2, "cases": found, "curves": curves, "versions": {"mitsvbrdf": version()}}
 
 
 if __name__ == "__main__":

@@ -45,6 +45,17 @@ def of(record: dict, measured: str, kind: str = "material", method: str | None =
             and method in (None, r["method"])]
 
 
+def versions(record: dict) -> str:
+    """Each version of the program, and what was measured with it."""
+    made: dict[str, dict] = {}
+    for r in record["records"]:
+        name = r["measured"]
+        version = r.get("version") or record["measured"][name]["versions"]["mitsvbrdf"]
+        made.setdefault(version.split("+")[0], {})[name] = None
+    return "; ".join(f"{version}: {', '.join(f'*{name}*' for name in names)}"
+                     for version, names in made.items())
+
+
 def means(records: list) -> list[str]:
     """Each error: median over seeds of the mean over materials."""
     return [f"{summary(records, name)['median'].iloc[0]:.4f}" for name in MAPS]
@@ -211,7 +222,7 @@ RMSE of maps encoded to 0 to 1, mean of six materials, median of three seeds (`g
 maps* is not said. The \
 adversarial loss with feature matching improves roughness and normals, hardly diffuse, and makes specular \
 worse. Feature matching takes the mean after 30 s from \
-{matched[0]:.4f} to {matched[1]:.4f} (two seeds).
+{matched[0]:.4f} to {matched[1]:.4f} (two seeds). Versions of the program: {versions(record)}.
 
 {as_markdown(game(record))}
 

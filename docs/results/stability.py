@@ -112,7 +112,8 @@ def page(record: dict) -> str:
 
 {as_markdown(overview(record))}
 
-`mitsvbrdf stability` makes these figures (two minutes): verdicts, then the largest error of an image / of \
+`mitsvbrdf stability` made these figures with version {record["versions"]["mitsvbrdf"]} \
+(two minutes): verdicts, then the largest error of an image / of \
 the worst map's gradient, relative L2 against the float64 twin. Tests hold the twin to the \
 same model in fifty digits. No verdict is worse than expected.
 
