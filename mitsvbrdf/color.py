@@ -109,11 +109,13 @@ class Curve(NamedTuple):
 
 def parts(transfer: str) -> tuple[Transfer, Curve | None]:
     """The response of a transfer function and its curve, or None; ConfigError for an unknown name."""
-    name, found = transfer.split(",")[0], CURVE.fullmatch(transfer)
-    if name not in RESPONSES or not found and name != transfer:
+    name, found = str(transfer).split(",")[0], CURVE.fullmatch(str(transfer))
+    curve = Curve(*map(float, found.groups())) if found else None
+    known = 0.1 <= curve.gamma <= 10 and -0.9 <= curve.shoulder <= 100 if curve else name == transfer
+    if name not in RESPONSES or not known:
         raise ConfigError(f"a transfer function of {get_args(Transfer)}", repr(transfer),
                           "choose one of these")
-    return cast(Transfer, name), Curve(*map(float, found.groups())) if found else None
+    return cast(Transfer, name), curve
 
 
 def response(transfer: Transfer) -> Response:

@@ -113,9 +113,7 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
 
 
 def _row(folder: Path, faults: list[str]) -> Row:
-    """The row of a fit in the list of materials; ``faults`` of its photos are among the warnings. Only
-    report.json of a fit has the held-out error.
-    """
+    """The row of a fit in the list of materials; ``faults`` of its photos are among the warnings."""
     from ..fit.record import record_in
     from ..io.json import load
 

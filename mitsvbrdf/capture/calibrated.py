@@ -17,7 +17,7 @@ import torch
 from msgspec import Meta
 
 from .. import color
-from ..errors import CaptureError, warn_of
+from ..errors import CaptureError, ConfigError, warn_of
 from ..io.decode import header, picture, upright
 from ..io.images import averaged, display, unmasked
 from ..io.json import error_text, load
@@ -39,9 +39,7 @@ MOST_HELD = 500_000_000  # pixels of all photos of a capture together, after shr
 
 
 def stated_in(folder: Path) -> Path | None:
-    """The JSON file in a folder that states views of its photos, or None; CaptureError for several files
-    that differ. The keys are those of svbrdf-diff-renderer.
-    """
+    """The JSON file in a folder that states views of its photos, or None; CaptureError: some differ."""
     found: dict[Path, list] = {}
     for path in sorted(folder.glob("*.json")):
         with contextlib.suppress(OSError, ValueError, TypeError):  # a file without these keys, or no JSON
@@ -56,9 +54,7 @@ def stated_in(folder: Path) -> Path | None:
 
 
 def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
-    """The capture of a ``capture.json``; without ``camera_pos`` its views are the default geometry.
-    CaptureError names what is missing or wrong.
-    """
+    """The capture of a ``capture.json``; default views without ``camera_pos``. CaptureError: a fault."""
     try:
         stated = load(path)
     except (OSError, ValueError) as reason:
@@ -76,9 +72,13 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
     if uncalibrated:
         stated = stated | _assumed(stated, path, len(photos) if index is None else max(photos) + 1)
     stated = {"transfer": "gamma2.2", "calibration": "given"} | stated  # other tools do not state these
-    for key, known in (("transfer", get_args(color.Transfer)), ("calibration", get_args(Calibration))):
-        if stated[key] not in known:
-            raise CaptureError(f"a {key} of {known}", f"{stated[key]!r} in {path}", "choose one of these")
+    if stated["calibration"] not in (known := get_args(Calibration)):
+        raise CaptureError(f"a calibration of {known}", f"{stated['calibration']!r} in {path}",
+                           "choose one of these")
+    try:
+        color.parts(stated["transfer"])
+    except ConfigError as error:
+        raise CaptureError(error.expected, f"{error.got} in {path}", error.fix) from None
     size = _stated(stated["im_size"], NUMBER, f"im_size in {path}")
     camera = _stated(stated["camera_pos"], ROWS, f"camera_pos in {path}")
     light = _stated(stated["light_pos"], ROWS, f"light_pos in {path}") if "light_pos" in stated else camera
@@ -93,8 +93,7 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
         raise CaptureError(f"photo {missing[0]:02d}.png or .jpg, which idx names", "no such file in "
                            f"{path.parent / stated['target_dir']}", "add the photo or take it out of idx")
     elif max(index) >= len(camera):
-        raise CaptureError(f"a row of camera_pos for each of {len(index)} photos in idx (the last is "
-                           f"{max(index)})",
+        raise CaptureError(f"{max(index) + 1} rows of camera_pos, as idx names photo {max(index)}",
                            f"{len(camera)} rows in {path}", "give one row a photo, or shorten idx")
     views = _views(camera, light, stated["light_pow"], size, falloff, str(path)).pick(
         range(len(photos)) if index is None else index)  # without idx, rows are those of the photos in order
@@ -118,9 +117,7 @@ def _assumed(stated: dict, path: Path, rows: int) -> dict:
 
 
 def from_text(folder: Path, falloff: Falloff, resolution: int | None) -> Capture:
-    """The capture of a folder with MaterialGAN's text files beside its photos, which are shrunk to
-    ``resolution``. CaptureError names what is missing or wrong.
-    """
+    """The capture of a folder with MaterialGAN's text files beside its photos; CaptureError: a fault."""
     photos = _numbered(folder)
     camera = _stated(_table(folder / "camera_pos.txt"), ROWS, str(folder / "camera_pos.txt"))
     _same_count(str(folder / "camera_pos.txt"), len(camera), len(photos))

@@ -80,9 +80,7 @@ class Photo:
         return cls(path, about.size, about.orientation, read_exif(path, about.kind), False, about.profile)
 
     def read(self) -> Picture:
-        """RGB as stored: display values, or linear values of RAW files; 0 where alpha masks them. Unreadable:
-        the file is damaged or cut off.
-        """
+        """RGB as stored, linear only of RAW files; 0 where alpha masks it. Unreadable: a damaged file."""
         with _readable(self.path):
             if not self.linear:
                 found = picture(self.path, Unreadable)
@@ -97,9 +95,7 @@ class Photo:
                                                gamma=(1, 1), user_flip=0, adjust_maximum_thr=0.0))
 
     def pixels(self, most: int | None = None) -> np.ndarray:
-        """The pixels of :meth:`read`, H x W x 3, 8 or 16 bits. Where the long side has more than
-        ``most`` pixels, area averages shrink it by the least whole factor that makes it short enough.
-        """
+        """The pixels of :meth:`read`, H x W x 3, 8 or 16 bits; :func:`reduced` to ``most`` a side or less."""
         image = self.read().pixels
         with _readable(self.path):
             return np.ascontiguousarray(reduced(image, most) if most else image)

@@ -4,7 +4,6 @@ Stages are functions without side effects. Those that reject photos return the r
 is in memory. Of each photo, the rectified patch and a small copy of the whole are kept.
 """
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, get_args
@@ -84,11 +83,8 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
     """
     if not LEAST_SIDE <= resolution <= MOST_SIDE:
         raise ConfigError(f"a resolution of {LEAST_SIDE} to {MOST_SIDE}", str(resolution), "try 1024")
-    if sheet_cm is not None and not (math.isfinite(sheet_cm) and sheet_cm > 0):
-        raise ConfigError("the size of the sheet in cm", str(sheet_cm),
-                          "measure the frame of tags from edge to edge")
     # refuses NaN, too; depth is below 0 where the sheet lies below the material
-    if sheet_cm is not None and not abs(depth_cm) < sheet_cm:
+    if sheet_cm is not None and not abs(depth_cm) < Sheet(sheet_cm).size:
         raise ConfigError(f"a sheet less than its size of {sheet_cm:g} cm above the material",
                           f"{depth_cm:g} cm", "measure how far it is, in cm")
     if reference not in get_args(Reference):

@@ -58,7 +58,7 @@ def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:
     @functools.wraps(function)
     def checked(*values: Any, **options: Any) -> int:
         for option, value in inspect.signature(function).bind(*values, **options).arguments.items():
-            _check_numbers(option, value)
+            check_numbers(option, value)
         with refused(options.get("strict", False) and name != "batch"):  # `batch` tells its workers
             return function(*values, **options)
 
@@ -68,11 +68,11 @@ def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:
     return checked
 
 
-def _check_numbers(name: str, value: object) -> None:
+def check_numbers(name: str, value: object) -> None:
     """Raise ConfigError for an option whose number is NaN or too large for every command."""
     if is_dataclass(value):
         for each in fields(value):
-            _check_numbers(each.name, getattr(value, each.name))
+            check_numbers(each.name, getattr(value, each.name))
     elif isinstance(value, (int, float)) and not abs(value) <= (most := MOST.get(name, LARGEST)):
         raise ConfigError(f"--{name.replace('_', '-')} of at most {most:g}", str(value),
                           "give a number up to that")

@@ -22,11 +22,13 @@ from ..batch.results import FAILED, LOG, ResultStore
 from ..batch.run import Batch
 from ..batch.settings import BatchSettings
 from ..batch.tasks import RayTasks, require_ray
+from ..capture.align.sheet import Sheet
 from ..errors import ConfigError
 from ..fit.config import FitConfig
 from ..fit.fixed_maps import absolute_files
 from ..fit.options import FitOptions
 from ..io.progress import progress_bar, say
+from . import check_numbers
 from .fit import Advanced, Settings, settings, with_flags
 from .options import Strict
 
@@ -68,7 +70,7 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
     base = Asked(Entry(""), config, shared, pages == "all", _split(tag), sheet, strict)
     asked = [with_own_options(entry, base) for entry in captures(names)]
     for each in asked:
-        _check_files(each)
+        check(each)
     results = ResultStore(out)
     with results.claimed() as token:
         results.clear_work()
@@ -108,9 +110,8 @@ def with_own_options(entry: Entry, base: Asked) -> Asked:
             asked = tyro.cli(partial(line, config=settings(words, base.config)), args=words, add_help=False,
                              config=(tyro.conf.FlagCreatePairsOff,))
     except SystemExit:
-        raise ConfigError("options of `mitsvbrdf fit`, --tag, --pages or --sheet",
-                          f"{shlex.join(entry.own)} ({_plain(said.getvalue())}; {entry.where})",
-                          "mend the line") from None
+        got = f"{shlex.join(entry.own)} ({_plain(said.getvalue())}; {entry.where})"
+        raise ConfigError("options of `fit`, --tag, --pages or --sheet", got, "mend the line") from None
     with told_with(entry.where):
         asked.options.check(asked.config)
     return _from_list(asked, base.config)
@@ -128,9 +129,12 @@ def _from_list(asked: Asked, common: FitConfig) -> Asked:
     return replace(asked, config=replace(config, **changes))
 
 
-def _check_files(asked: Asked) -> None:
-    """ConfigError: a file is missing that the settings name."""
+def check(asked: Asked) -> None:
+    """ConfigError: a number is out of range, or a file is missing that the settings name."""
     with told_with(asked.entry.where):
+        check_numbers("", asked)
+        if asked.sheet is not None:
+            Sheet(asked.sheet)
         for file in asked.config.files:
             if not os.path.isfile(os.path.join(asked.entry.base, file)):
                 raise ConfigError("a number or a file that is there", file, "check the path")

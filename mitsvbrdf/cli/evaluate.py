@@ -43,6 +43,7 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
     No fit knows the calibration errors of held-out photos. --refine-views also refines the camera, flash and
     exposure of each photo within priors, measures again, and prints how far they moved.
     """
+    options.check_side(resolution)
     if (reference is None) == (capture is None):
         raise ConfigError("either --reference or --capture", "both" if reference else "neither", "give one")
     if reference and (refine_views or views or resolution or (transfer, falloff) != ("auto", "auto")):

@@ -99,9 +99,7 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
 
 
 def check_room(side: int, photos: int, out: Path) -> None:
-    """Raise ConfigError, which names the size that would fit, where memory or disk do not suffice for maps of
-    ``side`` x ``side`` texels of so many photos.
-    """
+    """Raise ConfigError, naming a size that fits, where memory or disk do not suffice for so many texels."""
     place = Path(os.path.realpath(out))
     there = next(folder for folder in (place, *place.parents) if folder.is_dir())
     rooms = (("memory", memory_gib()[1] - PROCESS, HELD, PROCESS),

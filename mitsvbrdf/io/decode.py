@@ -25,7 +25,7 @@ MAGIC = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG", b"II*\0": "TIFF",
 HEIF_BRANDS = b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"
 DNG_VERSION = b"\x12\xc6\1\0\4\0\0\0", b"\xc6\x12\0\1\0\0\0\4"  # tag 50706 of TIFF, four bytes
 BITS, PHOTOMETRIC, ORIENTATION, EXTRA_SAMPLES = 258, 262, 274, 338  # tags of TIFF; EXIF has the third
-NEGATIVE = "negative"  # grey whose white is 0
+NEGATIVE, TWELVE_BITS = "negative", "I;12"  # grey whose white is 0; grey up to 4095
 FOREIGN = "CMYK", "LAB", "HSV"  # Pillow's names of channels that are no RGB
 OPAQUE = 0.98  # share of the largest alpha from which a pixel is opaque; a constant alpha is no mask
 # by EXIF's orientation: quarter turns counter-clockwise, from the photo as shown to the sensor's picture
@@ -38,7 +38,7 @@ class Header(NamedTuple):
     kind: str  # PNG, JPEG, TIFF, WEBP or HEIF
     size: tuple[int, int]  # width and height as stored
     orientation: int  # EXIF's, 1 to 8; 1: shown as stored
-    mode: str  # Pillow's name of the channels, or NEGATIVE
+    mode: str  # Pillow's name of the channels, NEGATIVE or TWELVE_BITS
     profile: Profile | None  # of its colours; None: those of sRGB
 
 
@@ -94,8 +94,9 @@ def header(path: Path, error: type[MitsvbrdfError]) -> Header:
             masked, mode = image.has_transparency_data, image.mode
             if kind == "TIFF":
                 masked = masked and tags.get(EXTRA_SAMPLES, (0,))[0]
-                mode = ("P" if tags.get(BITS, (1,))[0] < 8 else
-                        NEGATIVE if tags.get(PHOTOMETRIC) == 0 else mode)
+                bits = tags.get(BITS, (1,))[0]
+                mode = ("P" if bits < 8 else NEGATIVE if tags.get(PHOTOMETRIC) == 0 else
+                        TWELVE_BITS if bits == 12 else mode)
                 if mode == "P":  # read by Pillow, which turns it upright
                     turned, size = 1, size[::-1] if turned in (5, 6, 7, 8) else size
             return Header(kind, size, turned if turned in range(1, 9) else 1, "RGBA" if masked else mode,
@@ -120,7 +121,8 @@ def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Pict
             pixels = _decoded(imagecodecs.png_decode, content, about.mode == "RGBA")
         elif about.kind == "TIFF" and about.mode != "P":  # for a palette, libtiff gives the indices
             pixels = _decoded(imagecodecs.tiff_decode, content, about.mode == "RGBA")
-            pixels = ~pixels if about.mode == NEGATIVE else pixels
+            pixels = (~pixels if about.mode == NEGATIVE else
+                      pixels << 4 | pixels >> 8 if about.mode == TWELVE_BITS else pixels)
         else:
             pixels = _by_pillow(path, about)
     alpha, outside = None, 0.0

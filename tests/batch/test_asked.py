@@ -13,7 +13,7 @@ from helpers.batches import asked, make_capture
 
 from mitsvbrdf.batch.asked import Asked
 from mitsvbrdf.batch.captures import Entry
-from mitsvbrdf.cli.batch import _check_files, with_own_options
+from mitsvbrdf.cli.batch import check, with_own_options
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import GanConfig, HierarchicalConfig
 from mitsvbrdf.fit.options import FitOptions
@@ -36,13 +36,15 @@ def test_options_in_words_are_those_that_differ_from_the_defaults(line, words):
 
 @pytest.mark.parametrize("line, told", [
     ("--budget foo", "--budget foo (Error parsing --budget: "), ("--bugdet 3", "--bugdet"),
-    ("--views x", "photo numbers"), ("--resolution 2", "--resolution of 8 or more"), ("--help", "--help")])
+    ("--views x", "photo numbers"), ("--resolution 2", "--resolution of 8 or more"), ("--help", "--help"),
+    ("--sheet nan", "--sheet of at most"), ("--sheet -1", "the size of the sheet in cm, got -1"),
+    ("--resolution 99999", "--resolution of at most 16384")])
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
 def test_a_mistake_on_a_line_is_one_plain_error(line, told, encoding, monkeypatch, capsys):
     # by it tyro chooses how to draw
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding))
     with pytest.raises(ConfigError) as error:
-        with_own_options(Entry("/shots/wood", tuple(line.split()), "line 3 of list.txt"), USUAL)
+        check(with_own_options(Entry("/shots/wood", tuple(line.split()), "line 3 of list.txt"), USUAL))
     assert told in str(error.value)
     assert not any(drawn in str(error.value) for drawn in ("│", "╭", "╰", "─", "\n", "----"))
     assert capsys.readouterr() == ("", "")
@@ -53,9 +55,9 @@ def test_files_on_a_line_lie_beside_the_list(tmp_path):
     found = with_own_options(line, USUAL)
     assert found.config.fix == ("normal=up.png", "roughness=0.5") and found.entry.base == str(tmp_path)
     with pytest.raises(ConfigError, match="up.png.*line 3"):
-        _check_files(found)
+        check(found)
     (tmp_path / "up.png").touch()
-    _check_files(found)
+    check(found)
     common = replace(USUAL, config=HierarchicalConfig(fix=("diffuse=here.png",)))
     both = with_own_options(line, common)
     assert both.config.fix == (f"diffuse={os.path.abspath('here.png')}", *found.config.fix)

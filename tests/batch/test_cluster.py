@@ -15,11 +15,9 @@ FOLDER = ROOT / "docs/cluster"
 
 # Names that KubeRay's ray.io/v1 takes, from ray-operator/apis/ray/v1/rayjob_types.go and raycluster_types.go.
 JOB = {"activeDeadlineSeconds", "backoffLimit", "rayClusterSpec", "submitterPodTemplate", "metadata",
-       "clusterSelector",
-       "submitterConfig", "managedBy", "deletionStrategy", "entrypoint", "runtimeEnvYAML", "jobId",
-       "submissionMode",
-       "entrypointResources", "entrypointNumCpus", "entrypointNumGpus", "ttlSecondsAfterFinished",
-       "shutdownAfterJobFinishes", "suspend"}
+       "clusterSelector", "submitterConfig", "managedBy", "deletionStrategy", "entrypoint", "runtimeEnvYAML",
+       "jobId", "submissionMode", "entrypointResources", "entrypointNumCpus", "entrypointNumGpus",
+       "ttlSecondsAfterFinished", "shutdownAfterJobFinishes", "suspend"}
 CLUSTER = {"headGroupSpec", "workerGroupSpecs", "rayVersion", "enableInTreeAutoscaling", "autoscalerOptions",
            "headServiceAnnotations", "suspend"}
 HEAD = {"serviceType", "headService", "enableIngress", "rayStartParams", "template"}

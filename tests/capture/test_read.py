@@ -119,11 +119,11 @@ def test_round_trip(tmp_path):
     intensity = torch.tensor([[1.0, 2.0, 3.0], [4.0, 5.0, 6.0], [7.0, 8.0, 1 / 3]])
     views = Views.of(CAMERA, LIGHT, intensity, 6.848)
     shots = torch.from_numpy(photos()).float() / 255
-    capture = Capture(shots, views, "srgb", (4, 0, 7))
+    capture = Capture(shots, views, "srgb, gamma 1.0800, shoulder 0.1200", (4, 0, 7))  # as a fit found it
     write_capture(capture, tmp_path / "out")
     back = read_capture(tmp_path / "out")
-    assert torch.equal(back.photos, shots) and same_views(back.views, views) and back.transfer == "srgb"
-    assert back.index == (0, 1, 2) and back.calibrated
+    assert torch.equal(back.photos, shots) and same_views(back.views, views)
+    assert back.index == (0, 1, 2) and back.calibrated and back.transfer == capture.transfer
     assert len(json.loads((tmp_path / "out" / "capture.json").read_text())["light_pow"]) == 3
 
 
@@ -242,7 +242,8 @@ def test_missing_key(tmp_path, key):
                           ("camera_pos", [[1, 2, "3"]] * 3), ("camera_pos", {"0": [1, 2, 3]}),
                           ("light_pos", None), ("light_pow", [1, 2]), ("light_pow", [[1, 2]]),
                           ("light_pow", "bright"), ("light_pow", []), ("light_pow", 10**400),
-                          ("transfer", "log"), ("transfer", ["srgb"])])
+                          ("transfer", "log"), ("transfer", ["srgb"]),
+                          ("transfer", "srgb, gamma 0.0, shoulder 0.0")])
 def test_value_of_the_wrong_type(tmp_path, key, value):
     fails(json_capture(tmp_path, **{key: value}), key, "capture.json")
 

@@ -12,8 +12,8 @@ from mitsvbrdf.cli.fit import PROCESS, _say_result, check_room, with_flags
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit.checkpoint import load_tensors
 
-ENDED = {"calibrated_rmse": None, "per_photo": [0.01], "rerender_rmse": 0.01,
-         "deviations": {}, "deviations_with_look_alikes": {}, "warnings": (),
+ENDED = {"calibrated_rmse": None, "per_photo": [0.01], "rerender_rmse": 0.01, "deviations": {},
+         "deviations_with_look_alikes": {}, "warnings": (),
          "record": {"confidence": {}, "calibration": {"log_power_sd": None}},
          "trace": [{"seconds": 31.4, "iteration": 90}]}
 SHOTS = SimpleNamespace(names=("00",), views=SimpleNamespace(falloff="inverse-square"))

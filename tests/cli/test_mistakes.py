@@ -82,10 +82,11 @@ def test_damaged_photos_are_named_and_refused_when_strict(copy, tmp_path, capsys
     (["synth", "builtin:tiles", "--noise", "-1"], "noise"),
     (["guess", "PHOTOS", "--resolution", "9" * 30], "resolution"),
     (["relight", "builtin:tiles", "--frames", "9999999999"], "frames"),
-    (["crosscheck", "--repeats", "9999999999"], "repeats"), (["demo", "--budget", "nan"], "budget")])
+    (["crosscheck", "--repeats", "9999999999"], "repeats"), (["demo", "--budget", "nan"], "budget"),
+    (["evaluate", "builtin:tiles", "--capture", "PHOTOS", "--resolution", "0"], "--resolution of 8 or more")])
 def test_absurd_numbers(options, word, shots, tmp_path, capsys):
     command = [shots if each == "PHOTOS" else each for each in options]
-    out = [] if options[0] == "crosscheck" else ["-o", tmp_path / "out"]
+    out = [] if options[0] in ("crosscheck", "evaluate") else ["-o", tmp_path / "out"]
     fails(capsys, tmp_path, [*command, *out], word)
 
 

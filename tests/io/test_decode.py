@@ -203,13 +203,15 @@ def test_tiffs_that_store_no_plain_numbers(tmp_path, mode, tags, value, options)
     assert (decoded(tmp_path / "a.tif", CaptureError) == value).all()
 
 
-def test_a_grey_tiff_of_four_bits(tmp_path):
-    entries = [(256, 4, 1, 4), (257, 4, 1, 2), (258, 3, 1, 4), (259, 3, 1, 1), (262, 3, 1, 1),
-               (273, 4, 1, 200), (277, 3, 1, 1), (278, 4, 1, 2), (279, 4, 1, 4)]
+@pytest.mark.parametrize("bits, stored, values", [  # 15 and 4095 are white
+    (4, "09 9F F9 90", [[0, 153, 153, 255], [255, 153, 153, 0]]),
+    (12, "00 09 99 99 9F FF FF F9 99 99 90 00", [[0, 39321, 39321, 65535], [65535, 39321, 39321, 0]])])
+def test_grey_tiffs_of_other_bits(tmp_path, bits, stored, values):
+    entries = [(256, 4, 1, 4), (257, 4, 1, 2), (258, 3, 1, bits), (259, 3, 1, 1), (262, 3, 1, 1),
+               (273, 4, 1, 200), (277, 3, 1, 1), (278, 4, 1, 2), (279, 4, 1, bits)]
     table = b"".join(struct.pack("<HHII", *entry) for entry in entries)
     head = b"II*\0" + struct.pack("<IH", 8, len(entries)) + table + bytes(4)
-    pixels = read(tmp_path, head.ljust(200, b"\0") + bytes((0x09, 0x9F, 0xF9, 0x90)))
-    assert pixels[..., 0].tolist() == [[0, 153, 153, 255], [255, 153, 153, 0]]  # sixteenths: 255 / 15 each
+    assert read(tmp_path, head.ljust(200, b"\0") + bytes.fromhex(stored))[..., 0].tolist() == values
 
 
 @pytest.mark.parametrize("name", ["a.jpg", "a.tif"])

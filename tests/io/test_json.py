@@ -19,9 +19,8 @@ WRONG = {
     '{"a": 1e999}': "a is no finite number", '{"a": 1' + "0" * 5000 + "}": "a is no finite number",
     '{"a": 9223372036854775808}': "a is no finite number", '{"a": 1, "b": 2, "a": 3}': "the key 'a' twice",
     "[" * 100_000: "nested too deeply", '{"a":' * 100_000: "nested too deeply",
-    "[1]": "an object was expected, not list",
-    '"text"': "not str", "null": "not NoneType", "": "Expecting value", "{": "Expecting",
-    "{'a': 1}": "Expecting"}
+    "[1]": "an object was expected, not list", '"text"': "not str", "null": "not NoneType",
+    "": "Expecting value", "{": "Expecting", "{'a': 1}": "Expecting"}
 
 
 @pytest.mark.parametrize("text", WRONG, ids=lambda text: text[:20])

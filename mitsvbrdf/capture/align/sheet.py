@@ -4,6 +4,7 @@ Sixteen AprilTags of the family 36h11 (Olson 2011; Wang and Olson 2016), ids 0 t
 grid with a pitch of two tags: the layout of svbrdf-diff-renderer, whose sheets and ours are interchangeable.
 """
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -38,10 +39,15 @@ class Sheet:
     """Where everything is on the sheet; x right, y up, origin in the middle, z = 0.
 
     Args:
-        size: cm from outer edge to outer edge of the frame of tags.
+        size: cm, above 0, from outer edge to outer edge of the frame of tags; else ConfigError.
     """
 
     size: float = 18.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.size < math.inf:
+            raise ConfigError("the size of the sheet in cm", str(self.size),
+                              "measure the frame of tags from edge to edge")
 
     @property
     def cell(self) -> float:
