@@ -14,7 +14,7 @@ from tyro.conf import OmitArgPrefixes, Positional, Suppress, UseAppendAction, ar
 
 from ..capture import Capture
 from ..errors import ConfigError
-from ..fit import FitTask, fit_svbrdf
+from ..fit import FitTask, GanConfig, fit_svbrdf
 from ..fit.checkpoint import load_tensors
 from ..fit.confidence import DETERMINED
 from ..fit.config import FitConfig
@@ -116,7 +116,6 @@ def check_room(side: int, photos: int, out: Path) -> None:
 def _pretrain(picture: Path, out: Path, config: FitConfig, options: FitOptions, overwrite: bool) -> int:
     """The first stage of the paper's two-stage training, into a checkpoint."""
     from ..fit import pretrain
-    from ..fit.gan_config import GanConfig
 
     if not isinstance(config, GanConfig):
         raise ConfigError("--method gan beside --pretrain", f"--method {method_name(config)}",
@@ -127,7 +126,9 @@ def _pretrain(picture: Path, out: Path, config: FitConfig, options: FitOptions, 
                                        options.light(config)))[0]
     engine = make_renderer(options.renderer, options.variant)
     with Progress(f"pretrain · {engine.name}") as progress:
-        pretrain(shots, engine, config, out, progress)
+        stopped = pretrain(shots, engine, config, out, progress)
+    if stopped in ("interrupted", "unstable"):
+        say(f"warning: the first stage ended early ({stopped}): its weights are trained less than asked for")
     say(f"wrote {out}")
     return 0
 

@@ -34,7 +34,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     Args:
         capture: photos and views. Missing views are first estimated from the photos, unless the method holds
             views (:mod:`mitsvbrdf.calibrate.estimate`). One or two photos get the default geometry.
-        renderer: carries the gradients and draws the comparison.
+        renderer: draws the comparison; carries the gradients of all methods but ``hierarchical``.
         config: which method and its settings. Default: ``HierarchicalConfig()``.
         checkpoint: file (.safetensors) to keep the running state in.
         resume: checkpoint to continue from; bit-equal to an uninterrupted run of the same options on a CPU.
@@ -55,7 +55,6 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     config.check()
     if capture.measured is not None and not capture.measured.any():
         raise CaptureError("photos that show something", "a mask that hides all pixels", "check the mask")
-    stated = capture.notes
     task = fit_task(capture, renderer, config)
     method = make_method(task)
     loop = Loop(method, checkpoint, report, Live(live) if live else None)
@@ -65,13 +64,13 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     if loop.anew and stopped == "interrupted":
         raise KeyboardInterrupt  # the earlier result stays
     method.end()
-    return diagnosed(task, loop, stopped, stated)
+    return diagnosed(task, loop, stopped, capture.notes)
 
 
 @entry(gradients=True)
 def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint: Path,
-             report: Callable[[dict, float], None] | None = None) -> None:
-    """The paper's first stage (III.F): train the generator on one picture; keep its weights.
+             report: Callable[[dict, float], None] | None = None) -> str:
+    """Train the generator on one picture, the paper's first stage (III.F); returns :attr:`Fit.stopped`.
 
     Args:
         capture: its first photo is used.
@@ -82,13 +81,12 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
     """
     if not config.of_paper or config.pretrained:
         raise ConfigError("a preset of the paper, from untrained weights",
-                          f"preset {config.preset}"
-                          + (f" from {config.pretrained}" if config.pretrained else ""),
+                          f"preset {config.preset}, pretrained {config.pretrained}",
                           'give GanConfig(preset="paper-one-stage", ...) without pretrained')
     config = replace(config, preset="paper-one-stage",
                      iterations=config.iterations or (None if config.budget else FIRST_STAGE))
     one = capture.pick(capture.index[:1])
-    Loop(make_method(FitTask(one, renderer, config)), checkpoint, report).run()
+    return Loop(make_method(FitTask(one, renderer, config)), checkpoint, report).run()
 
 
 def make_method(task: FitTask[Any]) -> Method:

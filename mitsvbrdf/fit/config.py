@@ -149,7 +149,7 @@ class HierarchicalConfig(FitConfig):
     noise: float | None = None
     """Noise of real photos in display values. A higher value keeps less detail. Default: cross-validation."""
     neighbours: Switch = True
-    """Values of neighbouring texels as starts."""
+    """Other starts: values of neighbouring texels, tilted normals and, of exact photos, other lobes."""
     exact: bool | None = None
     """Photos follow the model (--exact) or not (--no-exact). Default: the errors of a first fit decide."""
     multi_start: Switch = True

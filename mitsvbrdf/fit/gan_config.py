@@ -98,7 +98,7 @@ class GanConfig(FitConfig):
     smooth: float = AS_PRESET
     """Weight of the total variation of the specular and roughness maps."""
     flash_offset: Switch = AS_PRESET
-    """One sideways distance between lens and flash, fitted for all photos. The paper's is 0."""
+    """One sideways distance between lens and flash, fitted for all photos. The paper's presets have none."""
 
     def __post_init__(self) -> None:
         """Fill in what the preset has. ConfigError: no such preset."""
@@ -144,10 +144,11 @@ class GanConfig(FitConfig):
             raise ConfigError("a fit with a loss", "all weights 0",
                               "give --adversarial or --diffuse a weight > 0")
         if self._one_picture_first and (self.generator != "two-stream" or self.grow):
-            raise ConfigError("the two-stream generator, not growing, in a preset that begins with one "
-                              "picture",
+            raise ConfigError("--generator two-stream, --no-grow in a preset that begins with one picture",
                               f"generator {self.generator}, {'growing' if self.grow else 'not growing'}",
                               "give --generator two-stream and --no-grow, or a --pretrained first stage")
+        if self.of_paper and self.flash_offset:
+            raise ConfigError("--flash-offset beside --preset minutes", self.preset, "leave it out")
         if self.pretrained and self.preset != "paper-two-stage":
             raise ConfigError("--preset paper-two-stage beside a pretrained checkpoint",
                               f"--preset {self.preset}", "add --preset paper-two-stage")
@@ -180,7 +181,7 @@ class GanConfig(FitConfig):
     @property
     def wants_flash_offset(self) -> bool | None:
         """Whether the flash offset is to be fitted, as asked for; the paper has none."""
-        return self.flash_offset or (None if self.of_paper else False)
+        return None if self.of_paper else self.flash_offset
 
     @property
     def falloff(self) -> Falloff:

@@ -75,6 +75,7 @@ class Loop:
         off_beat = self.iteration % self.method.measured_every > 0 or not self.whole
         if off_beat:
             good, losses, seen = self._checked(good, losses, whole=True)
+            self.seconds = time.perf_counter() - self.started
         if self.checkpoint:
             self.save()
         if off_beat:
@@ -105,16 +106,15 @@ class Loop:
         losses.pop("gradient", None)
         self.iteration += 1
         if self.iteration % self.method.measured_every == 0:
-            self.seconds = time.perf_counter() - self.started
             good, losses, seen = self._checked(good, losses)
+            self.seconds = time.perf_counter() - self.started
             self._record(seen, losses)
         return good, losses
 
     def _checked(self, good: dict[str, Tensor], losses: dict[str, float], whole: bool = False
                  ) -> tuple[dict[str, Tensor], dict[str, float], Seen]:
         """The present state, its losses and its look; if not finite, those of ``good``, without losses."""
-        seen = self._look(whole)
-        if not isinstance(seen, str):
+        if not isinstance(seen := self._look(whole), str):
             return self.method.state(), losses, seen
         good = self._undo(good, seen)
         seen = self._look(whole)

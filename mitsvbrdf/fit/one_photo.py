@@ -54,7 +54,7 @@ def nodes(pixels: int, count: int, seed: int) -> Tensor:
 class OnePhoto(Method[HierarchicalConfig]):
     """Descends to the likeliest look classes: from each start, from the likeliest ones, from the best one.
 
-    A view that is not stated has its place and light power among the unknowns.
+    A view that is not stated, or is to be refined, has its place and light power among the unknowns.
     """
 
     measured_every = 10**6  # steps: texels are found once, at the end
@@ -62,7 +62,8 @@ class OnePhoto(Method[HierarchicalConfig]):
 
     def __init__(self, task: FitTask[HierarchicalConfig]) -> None:
         super().__init__(task)
-        self.held, self.pixels = task.capture.calibrated or task.config.holds_views, Pixels.of(task.capture)
+        self.held = task.config.holds_views or task.capture.calibrated and not task.config.refines_views
+        self.pixels = Pixels.of(task.capture)
         self.begun = robust_start(task.capture, task.guess, "roughconductor", task.fixed)
         self.tried = self._starts()
         self.costs, self.done_steps = torch.full((len(self.tried),), WORST), 0

@@ -29,7 +29,7 @@ class FitOptions:
     """The options that every method has."""
 
     renderer: RendererName = "mitsuba"
-    """What renders the maps and carries the gradients."""
+    """What draws the comparison, and carries gradients where the method is direct, hybrid or gan."""
     resolution: int = 256
     """Side of the maps in texels; photos are area-averaged down to it."""
     views: Annotated[str | None, arg(metavar="0,1,2,...")] = None

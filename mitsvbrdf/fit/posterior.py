@@ -23,13 +23,14 @@ from ..capture import Capture
 from ..color import QUANTIZATION_NOISE
 from ..material.maps import COLOURS, SVBRDF
 from ..render import Renderer
+from .hierarchical.relief import STEEPEST
 from .hierarchical.solver import Observations, TexelSolver
 from .parameters import ROUGHNESS_RANGE
 
 GRID = 64  # most texels a side whose mixture is found
 FLAT = 1 / 12  # variance of a number between 0 and 1 of which nothing else is known
 NODES = 8  # steps of roughness each way, to its bound
-BOUNDS = {"roughness": ROUGHNESS_RANGE, "normal": (-3.0, 3.0)}  # else 0 to 1
+BOUNDS = {"roughness": ROUGHNESS_RANGE, "normal": (-STEEPEST, STEEPEST)}  # else 0 to 1
 WEAK, FIXED = 1e-3, 1e12  # precisions of numbers that are free, and of a roughness that is held
 LIFTED = 0.05  # darker colours get the derivatives of this one: linear^(1/2.2) is steep at 0
 BRIGHTNESSES = 12  # of equally many pixels each, with a noise of their own

@@ -23,6 +23,7 @@ GAIN = 1.25  # photos over re-rendering, or the other way round; 0.93 to 1.01
 USABLE = 0.1  # share of the pixels that must be neither dark nor clipped, to speak of a gain
 # diffuse albedo, and the share of texels that may have it; ten had 0, two 0.3 and more
 WHITE, WHITE_SHARE = 0.97, 0.1
+WHITENS = {"diffuse", "base_color"}  # maps that make it white: where one is given, the light is not in doubt
 FAINT = 0.015  # F0, median; eleven had 0.0156 and more, one 0.013. Water has 0.02, and nothing known less
 # Median F0 above a usual non-metal's, and the share of determined texels needed to believe it; of eighteen
 # fits to seven photos one had 0.31 with a fifth determined, the others 0.1 and less, or were determined.
@@ -108,7 +109,7 @@ def _light(result: Fit, capture: Capture) -> Iterator[str]:
                    "distances may be off")
     material = result.svbrdf.as_roughconductor()
     white = float((material["diffuse"].amax(dim=-1) > WHITE).float().mean())
-    if white > WHITE_SHARE:
+    if white > WHITE_SHARE and not WHITENS & set(described(result.config.fix)):
         yield f"{white:.0%} of the diffuse map is as white as can be: the light may be stronger than stated"
     specular, spread = float(material["specular"].median()), result.deviations.get("specular")
     sure = None if spread is None else of_texels(spread)[shown_texels(capture)] < DETERMINED
@@ -126,9 +127,9 @@ def _implausible(result: Fit, shown: Tensor) -> Iterator[str]:
         level, share = float(material["specular"].median()), 1 - float(unsure[shown].float().mean())
         if level > STRONG and share < HARDLY:
             yield (f"median specular (F0) of {level:.2g}, {share:.0%} of it determined: a metal's, or a "
-                   "guess. Add a photo "
-                   f"with its highlight {_place(unsure)}, or --fix specular=0.04 where it is no metal")
-    if not {"diffuse", "specular"} & set(fixed):
+                   f"guess. Add a photo with its highlight {_place(unsure)}, or --fix specular=0.04 where it "
+                   "is no metal")
+    if not {"specular", *WHITENS} & set(fixed):
         above = (material["diffuse"] + material["specular"]).amax(dim=-1) > 1
         more, white = float(above.float().mean()), above & (material["diffuse"].amax(dim=-1) > WHITE)
         if white.any() and more <= MORE_SHARE:
@@ -169,8 +170,7 @@ def _burnt_in(result: Fit) -> Iterator[str]:
         # with fewer texels, chance alone gives such shares
         if share > OVALS and name not in fixed and result.svbrdf.resolution >= LOCAL_SIDE:
             yield (f"the {name} map has ovals where single photos had their highlights ({share:.0%} of it): "
-                   "they are hardly the material's; add photos from other places, with the highlights "
-                   "elsewhere, and fit again")
+                   "they are hardly the material's; add photos with highlights elsewhere, and fit again")
 
 
 def _cut_short(result: Fit) -> Iterator[str]:

@@ -49,17 +49,19 @@ def test_help_shows_research_options_only_when_asked(capsys):
         assert ("--highlight-reach" in shown) == bool(advanced)
 
 
-def test_the_first_stage_of_two_by_either_name(shots, tmp_path, capsys):
+def test_the_first_stage_of_two_by_either_name(shots, tmp_path, capsys, monkeypatch):
     options = ["--resolution", "16", "--renderer", "analytic", "--iterations", "1", "--width", "4"]
     named = ["fit", str(shots), "-o", str(tmp_path / "a.safetensors"), "--method", "gan", "--preset",
              "paper-two-stage", "--pretrain"]
-    assert cli.main([*named, *options]) == 0
+    assert cli.main([*named, *options]) == 0 and "early" not in capsys.readouterr().out
     assert cli.main(["pretrain", str(shots), "-o", str(tmp_path / "b.safetensors"), *options]) == 0
     assert "pretrain is now fit --method gan" in capsys.readouterr().err
     first, second = (load_tensors(tmp_path / name)[0] for name in ("a.safetensors", "b.safetensors"))
     assert first and all(torch.equal(first[name], value) for name, value in second.items())
     assert cli.main(["fit", str(shots), "-o", str(tmp_path / "c.safetensors"), "--pretrain"]) == 2
     assert "--method gan beside --pretrain" in capsys.readouterr().err
+    monkeypatch.setattr("mitsvbrdf.fit.loop.Loop.run", lambda loop: "interrupted")
+    assert cli.main([*named, *options, "--overwrite"]) == 0 and "ended early" in capsys.readouterr().out
 
 
 def test_flags_that_the_fit_decides_unless_told():

@@ -3,6 +3,7 @@
 import dataclasses
 import math
 import signal
+from types import SimpleNamespace
 
 import pytest
 import torch
@@ -161,6 +162,16 @@ def test_budget_in_seconds(capture):
     assert loop.run() == "budget" and loop.seconds >= 1.0 >= loop.trace[-2]["seconds"]
 
 
+@pytest.mark.parametrize("iterations", [10, 12])  # the last measurement is due there, or made at the end
+def test_seconds_count_the_last_measurement(iterations, capture, monkeypatch):
+    loop, looks = loop_of(capture, DirectConfig(iterations=iterations)), []
+    look = loop._look
+    monkeypatch.setattr("mitsvbrdf.fit.loop.time", SimpleNamespace(perf_counter=lambda: float(len(looks))))
+    loop._look = lambda whole=False: (looks.append(whole), look(whole))[1]
+    loop.run()
+    assert loop.trace[-1]["seconds"] == loop.seconds == len(looks)
+
+
 @pytest.mark.parametrize("method", ["hybrid", "direct", "gan"])
 def test_step_sizes_are_cut_until_the_fit_stays_finite(method, capture):
     # Steps fail until the step size is below an eighth: it has to be cut four times, also when resumed off
@@ -227,19 +238,27 @@ def test_resume_refuses_another_fit(capture, tmp_path):
         fit_svbrdf(capture, renderer, HybridConfig(iterations=4), resume=path)
 
 
-@pytest.mark.parametrize("config, name", [
-    (lambda: HierarchicalConfig(seed="x"), "seed"), (lambda: HybridConfig(budget="10"), "budget"),
-    (lambda: HierarchicalConfig(fix=(1,)), "fix"), (lambda: GanConfig(fix=5), "fix"),
-    (lambda: GanConfig(preset=[]), "preset"), (lambda: DetailConfig(steps="x"), "steps")])
-def test_a_setting_of_another_kind_is_one_error(config, name):
-    with pytest.raises(ConfigError, match=name):
-        config().check()
-
-
-@pytest.mark.parametrize("wrong", [{"budget": -1}, {"budget": 0}, {"iterations": 0}, {"budget": math.nan}])
-def test_limits_are_checked(wrong):
-    with pytest.raises(ConfigError, match="> 0"):
-        DirectConfig(**wrong).limited(64).check()
+@pytest.mark.parametrize("kind, settings, said", [
+    (HierarchicalConfig, {"seed": "x"}, "seed"), (HybridConfig, {"budget": "10"}, "budget"),
+    (HierarchicalConfig, {"fix": (1,)}, "fix"), (GanConfig, {"fix": 5}, "fix"),
+    (GanConfig, {"preset": []}, "preset"), (DetailConfig, {"steps": "x"}, "steps"),
+    (DirectConfig, {"budget": -1}, "> 0"), (DirectConfig, {"budget": 0}, "> 0"),
+    (DirectConfig, {"iterations": 0}, "> 0"), (DirectConfig, {"budget": math.nan}, "> 0"),
+    (HybridConfig, {"photometric": 0, "adversarial": 0}, "looks at the photos"),
+    (DirectConfig, {"photometric": 0}, "looks at the photos"),
+    (HybridConfig, {"grey_specular": True, "bsdf": "principled"}, "grey-specular"),
+    (HybridConfig, {"grey_specular": True, "fix": ("specular=0.04",)}, "grey-specular"),
+    (GanConfig, {"game": "rpgan"}, "relativistic"), (GanConfig, {"generator": "unet"}, "two-stream"),
+    (GanConfig, {"adversarial": 0.0, "features": 0.0, "diffuse": 0.0, "smooth": 0.0}, "a loss"),
+    (GanConfig, {"crop": 4}, "crop of 16"), (GanConfig, {"normal_roughness_steps": 5}, "two-stream"),
+    (GanConfig, {"pictures": 0}, "pictures > 0"), (GanConfig, {"preset": "hours"}, "minutes"),
+    (GanConfig, {"preset": "paper-two-stage", "generator": "all-photos", "normal_roughness_steps": 1},
+     "--generator two-stream"), (GanConfig, {"preset": "paper-two-stage", "grow": True}, "growing"),
+    (GanConfig, {"preset": "paper-one-stage", "flash_offset": True}, "--flash-offset"),
+    (GanConfig, vars(GanConfig()) | {"preset": "paper-one-stage"}, "anew instead of replace")])
+def test_wrong_settings_are_one_error(kind, settings, said):
+    with pytest.raises(ConfigError, match=said):
+        kind(**settings).check()
 
 
 def test_presets_are_the_papers():
@@ -257,24 +276,6 @@ def test_presets_are_the_papers():
         assert not any((paper.paired, paper.grow, paper.features, paper.crop))
     assert [(round(p.share, 9), p.photos) for p in two.phases(256)] == [(0.4, 1), (0.6, None)]
     assert GanConfig(preset="paper-one-stage", width=8).width == 8  # what is given stays
-
-
-@pytest.mark.parametrize("settings, said", [
-    ({"game": "rpgan"}, "relativistic"), ({"generator": "unet"}, "two-stream"),
-    ({"adversarial": 0.0, "features": 0.0, "diffuse": 0.0, "smooth": 0.0}, "a loss"),
-    ({"crop": 4}, "crop of 16"),
-    ({"normal_roughness_steps": 5}, "two-stream"), ({"pictures": 0}, "pictures > 0"),
-    ({"preset": "hours"}, "minutes"),
-    ({"preset": "paper-two-stage", "generator": "all-photos", "normal_roughness_steps": 1},
-     "--generator two-stream"), ({"preset": "paper-two-stage", "grow": True}, "growing")])
-def test_settings_that_do_not_go_together_are_refused(settings, said):
-    with pytest.raises(ConfigError, match=said):
-        GanConfig(**settings).check()
-
-
-def test_settings_of_another_preset_are_not_called_the_papers():
-    with pytest.raises(ConfigError, match="anew instead of replace"):
-        dataclasses.replace(GanConfig(), preset="paper-one-stage").check()
 
 
 def test_only_the_papers_first_stage_is_pretrained(capture, tmp_path):

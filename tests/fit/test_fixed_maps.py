@@ -148,12 +148,6 @@ def test_held_files_that_are_no_maps(tmp_path):
             fixed_maps([f"{name}={tmp_path}/{file}"], "roughconductor", 4)
 
 
-def test_grey_specular_needs_a_specular_map():
-    for settings in ({"bsdf": "principled"}, {"fix": ("specular=0.04",)}):
-        with pytest.raises(ConfigError, match="grey-specular"):
-            HybridConfig(grey_specular=True, **settings).check()
-
-
 @pytest.mark.parametrize("settings, unused", [
     ({"smooth": 0.0, "flat": 0.0, "diffuse": 0.0, "adversarial": 0.0}, {"total_variation", "tilt", "diffuse",
                                                                         "discriminator"}),
@@ -205,12 +199,6 @@ def test_smoothness_counts_only_what_is_fitted():
                            for held in ("specular", "roughness"))
     assert roughness > 0 and specular > 0
     assert float(losses.total_variation(svbrdf, edges)) == pytest.approx(roughness + specular)
-
-
-def test_a_fit_that_looks_at_no_photo_is_refused():
-    for settings in (HybridConfig(photometric=0, adversarial=0), DirectConfig(photometric=0)):
-        with pytest.raises(ConfigError, match="looks at the photos"):
-            settings.check()
 
 
 def test_resume_asks_for_the_same_fixed_maps_not_the_same_names(leather, tmp_path):

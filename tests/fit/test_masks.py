@@ -9,6 +9,7 @@ from helpers.hierarchical_fits import method_of, reached
 
 from mitsvbrdf.calibrate.refine import Priors, refine_views
 from mitsvbrdf.capture import guess_diffuse
+from mitsvbrdf.color import to_display
 from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf
 from mitsvbrdf.fit.checkpoint import fingerprints
 from mitsvbrdf.fit.confidence import deviations
@@ -43,6 +44,9 @@ def test_errors_and_deviations(made, shots):
     first, second = ((*rerender(ANALYTIC, made, views, each),
                       unexplained(made, views, each, ANALYTIC).tolist()) for each in shots)
     assert first[1:] == second[1:] and first[1] < 0.5 / 255
+    off = (to_display(ANALYTIC.render(made, views), shots[0].transfer) + 0.0083).clamp(0, 1).float()
+    one = unexplained(made, views, replace(shots[0], photos=off), ANALYTIC)  # one error at all usable pixels
+    assert torch.allclose(one, torch.tensor(0.0083), rtol=1e-3)
     first, second = (deviations(made, views, FitTask(each, ANALYTIC, HierarchicalConfig()))[0]
                      for each in shots)
     assert first and all(torch.equal(first[name], second[name]) for name in first)

@@ -108,6 +108,9 @@ def test_the_start_that_is_likeliest_after_a_second_descent_is_taken(monkeypatch
 def test_asked_for_or_not_the_method_follows(tmp_path):
     photo, renderer = photo_of_noise(), make_renderer("analytic")
     assert not FitTask(photo, renderer, HierarchicalConfig(stationary=False)).repeats.stationary
+    for asked in (None, False, True):
+        task = FitTask(photo, renderer, HierarchicalConfig(calibrate=asked))
+        assert make_method(task).held == (asked is not True)
     for config in (HierarchicalConfig(fix=("roughness=0.5",)), HierarchicalConfig(bsdf="principled")):
         assert FitTask(photo, renderer, config).repeats is None
         with pytest.raises(ConfigError, match="--stationary"):

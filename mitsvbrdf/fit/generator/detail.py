@@ -77,7 +77,7 @@ def why_not(result: Fit) -> str | None:
     if result.stopped == "interrupted":
         return "the fit was interrupted"
     if not result.deviations:
-        return "all maps are fixed"
+        return "its bounds are deviations, which need Mitsuba"
     if result.svbrdf.resolution < PATCH:
         return f"the maps have fewer than {PATCH} texels a side: no patch can be compared"
     camera = result.views.in_patch_sides().camera[:, :2]

@@ -19,7 +19,7 @@ from .sharing import appearance_of, basis_materials, membership
 from .solver import TexelSolver
 from .stages import Stage
 
-COARSE = 64  # texels a side of the first stages
+COARSE = 64  # texels a side of the first stages; up to 127 where every k-th pixel is one
 
 
 @dataclass(frozen=True, eq=False)

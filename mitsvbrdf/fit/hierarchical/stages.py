@@ -43,8 +43,7 @@ EXACT = 0.006
 NOISE = 0.03
 LEAST_NOISE = 0.004  # of any photo: one step of 8 bits
 UNTOLD = 1.5  # assumed noise, in multiples of the RMSE that a fit with so many unknowns leaves
-# noise starts at NOISE and falls by this factor a round, so that no texel is caught early by a wrong
-# highlight
+# of the noise, a round: it starts at NOISE, so that no texel is caught early by a wrong highlight
 EASED = 0.75
 
 
@@ -191,10 +190,10 @@ def unexplained(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Render
     """Structure and RMSE of the errors in display values of usable pixels: two numbers.
 
     Structure is the root of the mean product of neighbouring errors: sensor noise has none, a wrong model
-    has. The material found has R x R texels, and so have the photos.
+    has. The material found has R x R texels, and so have the photos. NaN: no pixels are usable neighbours.
     """
     with torch.no_grad():
-        images = renderer.render(svbrdf, views)
-    error = torch.where(capture.usable, color.to_display(images, capture.transfer) - capture.photos, 0.0)
-    alike = (error[:, 1:] * error[:, :-1]).mean() + (error[:, :, 1:] * error[:, :, :-1]).mean()
-    return torch.stack(((alike / 2).clamp_min(0), error.square().mean())).sqrt()
+        shown = color.to_display(renderer.render(svbrdf, views), capture.transfer)
+    error = torch.where(capture.usable, shown - capture.photos, torch.nan)
+    alike = (error[:, 1:] * error[:, :-1]).nanmean() + (error[:, :, 1:] * error[:, :, :-1]).nanmean()
+    return torch.stack(((alike / 2).clamp_min(0), error.square().nanmean())).sqrt()

@@ -44,8 +44,7 @@ class ViewCorrections:
         self.usual = priors if fits_offset else replace(priors, common_flash=(0.0, 0.0))
         self.off = torch.tensor([priors.camera[2], priors.exposure], dtype=torch.float64)
         self.change = torch.zeros(len(capture), CHANGE.size, dtype=torch.float64)
-        self.deviation, self.flash_deviation = torch.zeros_like(self.change), torch.zeros(2,
-                                                                                          dtype=torch.float64)
+        self.deviation, self.flash_deviation = torch.zeros_like(self.change), self.change.new_zeros(2)
         self.skipped = torch.zeros(())  # 1 where a refinement was omitted for lack of time
 
     @property

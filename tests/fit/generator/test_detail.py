@@ -114,7 +114,7 @@ def test_what_cannot_be_finished_says_why(result, capture):
     assert why_not(result) is None
     still = result.but(views=Views.of([[0.0, 0.0, 2.0]] * len(capture)))
     for spoilt, why in ((result.but(stopped="interrupted"), "interrupted"),
-                        (still, "one view"), (result.but(deviations={}), "fixed"),
+                        (still, "one view"), (result.but(deviations={}), "need Mitsuba"),
                         (result.but(svbrdf=result.svbrdf.resized(6)), "fewer than 7 texels")):
         assert why in why_not(spoilt) and with_detail(spoilt, capture, ANALYTIC, QUICK) is spoilt
     repeated = {"repeats": {"stationary": True}}
