@@ -65,9 +65,7 @@ def two_threads() -> Iterator[None]:
 
 @pytest.fixture(scope="session", autouse=True)
 def coarse_spheres() -> None:
-    """The sphere of each page and each export is drawn with one ray a pixel instead of 16, a second of work
-    less.
-    """
+    """The sphere of each page and export is drawn with one ray a pixel instead of 16: a second less."""
     from mitsvbrdf.relight import stage
 
     stage.SAMPLES = 1
