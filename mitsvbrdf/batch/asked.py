@@ -122,7 +122,7 @@ def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
                report: Report = lambda text, share: None) -> Stock:
     """Compare what is asked for with the folders of a library that this process holds; update the library.
 
-    A capture that is named twice with the same options counts once.
+    A capture that is named twice with the same options counts once, with the tags of both.
     """
     stock, results, known = Stock(), library.results, library.materials
     names, shown = set(results.names()), library.shown()
@@ -132,10 +132,10 @@ def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
             stock.unreadable += 1
             stock.notes.append(f"passed over: {material}")
             continue
-        twin = wanted.setdefault(material.identity, material)
+        twin = wanted.get(material.identity, material)
         if material.folder in names and twin.folder not in names:
             twin, material = material, twin
-            wanted[twin.identity] = twin
+        wanted[twin.identity] = twin.but(tags=list(dict.fromkeys((*twin.tags, *material.tags))))
         if twin.source != material.source:
             stock.notes.append(f"passed over: {material.source} has the photos and options of {twin.source}")
     for material in wanted.values():

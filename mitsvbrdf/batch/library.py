@@ -56,9 +56,7 @@ class Library:
         return Counter(each.state for each in self.shown().values())
 
     def rows(self, replaced: bool = False) -> list[dict]:
-        """One row for each material, as in ``library.json``, sorted by name. ``replaced``: give only the
-        materials that a newer one has replaced.
-        """
+        """A row for each material, as in ``library.json``, by name. ``replaced``: only replaced materials."""
         shown = self.shown()
         found = (each for folder, each in self.materials.items() if (folder not in shown) == replaced)
         return [self.row(each) for each in sorted(found, key=lambda each: each.folder.lower())]
@@ -78,9 +76,7 @@ class Library:
                 **{name: f"{folder}/{file}" if file in there else None for name, file in FILES.items()}}
 
     def write(self, progress: str = "") -> None:
-        """Write ``library.json``, for pandas and others, and the page. ``progress``: of a running batch, in
-        words.
-        """
+        """Write ``library.json``, for pandas and others, and the page. ``progress``: of a batch, in words."""
         write = self.results.store.write
         told = {"title": self.results.title, "made": now(), "version": __version__, "progress": progress,
                 "materials": self.rows()}

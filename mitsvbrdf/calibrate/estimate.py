@@ -29,6 +29,7 @@ from torch import Tensor
 
 from .. import color
 from ..capture import Capture
+from ..capture.photo import listed
 from ..capture.rig import LEAST_PHOTOS
 from ..color import CLIPPED
 from ..io.entry import entry
@@ -75,9 +76,9 @@ def why_not(capture: Capture) -> str | None:
         return f"{LEAST_PHOTOS} photos or more are needed"
     if capture.views.falloff == "none":
         return "without falloff there is nothing to tell them by"
-    light = _radiance(capture, ESTIMATE_SIDE)
-    if not light.mean(axis=(1, 2)).min() > DARK_RADIANCE:
-        return "the photos are too dark"
+    light, _ = _radiance(capture, ESTIMATE_SIDE)
+    if dark := [name for name, photo in zip(capture.names, light) if not photo.mean() > DARK_RADIANCE]:
+        return f"too dark: photo {listed(dark)}"
     logs = np.log(light + DARK_RADIANCE)
     logs -= logs.mean(axis=(1, 2), keepdims=True)
     return "the photos are all alike" if (logs - logs.mean(axis=0)).std() < SAME_LOG else None
@@ -138,7 +139,7 @@ class Problem:
 
     def __init__(self, capture: Capture) -> None:
         photos = capture.photos.permute(0, 3, 1, 2)
-        self.light = _radiance(capture, ESTIMATE_SIDE)
+        self.light, self.known = _radiance(capture, ESTIMATE_SIDE)
         self.side = self.light.shape[1]
         self.shown = self.light ** (1 / GAMMA)
         self.clipped = (F.adaptive_max_pool2d(photos.amax(dim=1), self.side) >= CLIPPED).numpy()
@@ -206,7 +207,7 @@ class Problem:
         k = np.full_like(rho, level)
         for _ in range(4):
             error, slope = self._error(rho * diffuse + k * lobe)
-            weight = slope**2 / (1 + (error / NOISE) ** 2) / NOISE**2
+            weight = self.known * slope**2 / (1 + (error / NOISE) ** 2) / NOISE**2
             along, residual = error / slope, (k - level) / (OWN * level) ** 2
             rr, rk = (weight * diffuse**2).sum(axis=0) + 1e-6, (weight * diffuse * lobe).sum(axis=0)
             kk = (weight * lobe**2).sum(axis=0) + 1 / (OWN * level) ** 2
@@ -217,10 +218,10 @@ class Problem:
         return rho, k, self._error(rho * diffuse + k * lobe)[0]
 
     def _error(self, radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Errors, 0 where the radiance reaches a clipped value or exceeds it; and their slope by radiance."""
+        """Errors, 0 where masked or not below a clipped value; and their slope by radiance."""
         error = radiance ** (1 / GAMMA) - self.shown
         slope = np.maximum(radiance, 1e-3) ** (1 / GAMMA - 1) / GAMMA
-        return np.where(self.clipped & (error > 0), 0, error), slope
+        return np.where(self.clipped & (error > 0), 0, error) * self.known, slope
 
     def errors(self, u: np.ndarray) -> np.ndarray:
         """Errors of the photos and of the priors, in standard deviations; the fit minimizes their squares."""
@@ -247,8 +248,11 @@ class Problem:
         return math.pi * white * shared["height"] ** 2
 
 
-def _radiance(capture: Capture, side: int) -> np.ndarray:
-    """Linear grey N x R x R, float64, area-averaged to ``side`` at most."""
-    return np.stack([F.adaptive_avg_pool2d(
+def _radiance(capture: Capture, side: int) -> tuple[np.ndarray, np.ndarray]:
+    """Linear grey N x R x R, float64, averaged to ``side`` at most; and where no mask gives others' mean."""
+    light = np.stack([F.adaptive_avg_pool2d(
         color.decode(color.shown(photo).double(), capture.transfer).mean(dim=-1)[None],
         min(side, capture.resolution))[0].numpy() for photo in capture.stored])
+    measured = capture.measured_at(light.shape[1])
+    known = np.ones_like(light) if measured is None else measured.numpy()
+    return np.where(known, light, (light * known).sum(axis=0) / known.sum(axis=0).clip(1)), known

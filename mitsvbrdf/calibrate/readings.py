@@ -119,6 +119,8 @@ def doubts(capture: Capture) -> Doubts | None:
         (F.adaptive_avg_pool2d(color.decode(photo, capture.transfer).double().mean(dim=-1)[None], side),
          F.adaptive_max_pool2d(photo.amax(dim=-1)[None], side) < CLIPPED)
         for photo in map(capture.photo, range(len(capture))))))
+    measured = capture.measured_at(side)
+    seen = seen if measured is None else seen & measured
     views = replace(capture.views.to(torch.float64), falloff="inverse-square")
     height = float(views.light[:, 2].median()) / views.size
     sides = [None, *(views.size * 10.0**k for k in range(-3, 4)

@@ -222,9 +222,7 @@ def _numbered(folder: Path) -> dict[int, Path]:
 def _views(camera: list, light: list, power: Any, size: float, falloff: Falloff, where: str) -> Views:
     """Views, after a check that the counts agree; each error names the file."""
     power = _power(power, len(camera), f"light_pow in {where}")
-    if len(light) != len(camera):
-        raise CaptureError(f"light_pos of {len(camera)} rows, as camera_pos", f"{len(light)} rows in {where}",
-                           "give one row a photo")
+    _same_count(f"light_pos in {where}", len(light), len(camera))
     try:
         return Views.of(camera, light, power, size, falloff)
     except CaptureError as error:

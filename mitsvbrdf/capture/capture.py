@@ -238,9 +238,7 @@ class Capture:
                        measured=None if self.measured is None else sampled(self.measured, resolution))
 
     def pick(self, index: Sequence[int]) -> Capture:
-        """The photos with these numbers (as in :attr:`index`), in this order. CaptureError: a number that is
-        not there or not whole, or none at all.
-        """
+        """The photos with these numbers (of :attr:`index`), in this order. CaptureError: none, or others."""
         index = whole_numbers(index)
         missing = [i for i in index if i not in self.index]
         if missing or not index:

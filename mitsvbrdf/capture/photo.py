@@ -167,13 +167,15 @@ def of_one_camera(photos: Sequence[Photo]) -> tuple[list[Photo], dict[str, str],
     """Photos that one lens can explain: those of the size that most have; the reason, by name, of each other
     photo; and what a user should know of the camera's settings.
 
-    CaptureError: RAW files among others. ConfigError: something else than photos.
+    CaptureError: RAW files among others, or a name twice. ConfigError: something else than photos.
     """
     if others := [photo for photo in photos if not isinstance(photo, Photo)]:
         raise ConfigError("photos, each from Photo.open", repr(others[0]),
                           "open each file that photos_in(folder) lists")
     if len({photo.linear for photo in photos}) > 1:
         raise CaptureError("photos of one kind", "RAW files among others", "give one kind alone")
+    if twice := [name for name, count in Counter(photo.name for photo in photos).items() if count > 1]:
+        raise CaptureError("a name of its own for each photo", f"two of {listed(twice)}", "rename them")
     usual = Counter(photo.size for photo in photos).most_common(1)[0][0] if photos else (0, 0)
     reasons = {}
     for photo in photos:
@@ -213,8 +215,7 @@ def differences(photos: Sequence[Photo]) -> list[str]:
                          f"{' and others' if len(names[usual]) > 1 else ''}, {listed}{more}; lock it for "
                          "comparable photos")
     if all(photo.exif.get("flash") == "off" for photo in photos):
-        found.append("no photo was taken with the flash, as their EXIF says: the highlights are those of the "
-                     "room's lights")
+        found.append("no photo was taken with the flash, says EXIF: the highlights are those of the room")
     return found
 
 

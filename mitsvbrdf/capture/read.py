@@ -26,7 +26,7 @@ from .lens import field_of_view
 from .photo import SUFFIXES, Photo, Unreadable, differences, files_of, photos_in, with_one_balance
 from .rectify import filled
 from .sharpness import CLEARLY, MOST_PHOTOS, carried, middle
-from .turned import laid_alike
+from .turned import SIDE, laid_alike
 
 OF_MATERIALS = "give photos; `synth` takes some of a material, `evaluate --reference` compares a fit with it"
 MOST_SQUARE = 2048  # most pixels a side that are kept of a photo without calibration
@@ -121,8 +121,7 @@ def _read(path: Path, resolution: int | None, falloff: Falloff, transfer: color.
 def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None) -> None:
     """Write ``capture.json`` and ``target/NN.png``, for :func:`read_capture`. The falloff is not kept.
 
-    Photos are numbered anew from 0; lengths stay in the capture's unit. Files have 8 bits, those of linear
-    photos 16.
+    Photos are numbered anew from 0; lengths stay in the capture's unit. Files have 8 bits, linear ones 16.
 
     Args:
         keys: further keys of the JSON, as :func:`~mitsvbrdf.capture.stages.capture_keys` makes them.
@@ -210,7 +209,8 @@ def _rectified(photos: Sequence[Photo], falloff: Falloff, folder: Path, resoluti
     note = ("the photos show everything in the same place, so they are taken for rectified; nothing is known "
             "of their views")
     notes = [*differences(photos), *others, note]
-    return _unposed(kept, falloff, folder, resolution, notes, [photos.index(photo) for photo in kept])
+    looked_at = resolution and max(resolution, SIDE)  # shrunk to it after that
+    return _unposed(kept, falloff, folder, looked_at, notes, [photos.index(photo) for photo in kept])
 
 
 def _unposed(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None,
@@ -238,9 +238,7 @@ def _angle(photo: Photo) -> float:
 
 
 def _square(photo: Photo, found: Picture, resolution: int | None) -> np.ndarray:
-    """The middle square of a photo as shown, S x S x 3 display values, shrunk to ``resolution``; None: to
-    :data:`MOST_SQUARE`. It is NaN where the photo's alpha masks it.
-    """
+    """The middle square of a photo as shown, S x S x 3 display values, shrunk; NaN where alpha masks it."""
     pixels = upright(found.pixels, photo.orientation)
     (height, width), side = pixels.shape[:2], min(pixels.shape[:2])
     if side < LEAST_SIDE:

@@ -60,6 +60,5 @@ def check_enough(kept: Sized, rejected: Mapping[str, str], what: str = "that can
 def one_place(count: int) -> OnePlace:
     """The error to raise for ``count`` photos that are from one place."""
     return OnePlace("photos from different places",
-                    f"{count} photos that show everything in the same place: from a tripod, or rectified "
-                    "already",
+                    f"{count} photos that show all in the same place: from a tripod, or rectified already",
                     "move the phone between photos; `mitsvbrdf fit` takes rectified ones of the patch alone")

@@ -127,6 +127,7 @@ def _in_stages(photos: Sequence[Photo], begun: tuple[list[Photo], dict[str, str]
         if sheet_cm is not None or not misled:
             break
     if bad:
+        colours = converted({photo.name: photo.profile for photo in kept}, rectified.outside)
         rig = replace(rig, poses={photo.name: rig.poses[photo.name] for photo in kept})
         lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
     without_pose = [photo for photo in photos if photo.name in rejected.keys() - qualities.keys()]

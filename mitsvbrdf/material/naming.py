@@ -30,6 +30,7 @@ PACKED = {word: tuple(_LETTERS[letter] for letter in word)
           for word in ("arm", "orm", "rma", "rmo", "mra", "mro", "ram", "rom", "mar", "mor", "amr", "omr")}
 PACKED["maskmap"] = "metallic", "occlusion", "other", "glossiness"  # of Unity
 SIZES = re.compile(r"(?i)(?<![a-z0-9])(\d{1,2}k|\d{3,4}(x\d{3,4})?|jpe?g|png|exr|tiff?)(?![a-z0-9])")
+WORKFLOW = re.compile(r"_\d{1,2}K_(METALNESS|SPECULAR)$")  # of Poliigon: NAME_COL_2K_METALNESS
 GLTF_PACKED = "other", "roughness", "metallic"
 ALPHA = 3  # index of the alpha channel
 
@@ -49,6 +50,8 @@ def kind_of(stem: str, dropped: int = 0) -> tuple[str, ...]:
     """The map that a file's name (without suffix) means, or the maps of its three or four channels; empty
     where it means none. The first ``dropped`` words of the name are ignored.
     """
+    if (short := WORKFLOW.sub("", stem)) != stem and (kinds_before := kind_of(short, dropped)):
+        return kinds_before
     parts = words(stem)[dropped:]
     for end in (1, 2):
         if (packed := "".join(parts[-end:])) in PACKED:

@@ -53,9 +53,7 @@ def names_in(folder):
 
 
 def rows(*tags):
-    """By name; a capture that was also fitted with options of its own has a row for each, told apart here by
-    tags.
-    """
+    """By name; tags tell rows of one capture apart, which was also fitted with options of its own."""
     return {row["name"]: row for row in json.loads(Path("library/library.json").read_text())["materials"]
             if row["tags"] == list(tags)}
 

@@ -1,6 +1,4 @@
-"""A batch on a real S3 interface, served by moto on this machine: captures read from it, a library written to
-it.
-"""
+"""A batch on a real S3 interface, served by moto here: captures are read from it, a library written to it."""
 
 import json
 import os

@@ -130,8 +130,8 @@ def test_what_cannot_be_read_is_passed_over_until_it_can(results, shots, monkeyp
 
 def test_the_same_photos_under_two_names_are_fitted_once_and_that_is_said(results, tmp_path):
     one, other = (make_capture(tmp_path / name, [b"the same"]) for name in ("wood", "wood-copy"))
-    found = stock(results, one, other, one)
-    assert names(found) == ["wood"] and found.notes == [
+    found = stock(results, asked(one, tags=("old",)), other, asked(one, tags=("new", "old")))
+    assert names(found) == ["wood"] and found.work[0].tags == ["old", "new"] and found.notes == [
         f"passed over: {other} has the photos and options of {one}"]
     do(results, stock(results, other))  # what the library has is not made again
     found = stock(results, one, other)

@@ -150,7 +150,8 @@ NOTHING = {"black": (of_one_picture(0.0), "dark"), "white": (of_one_picture(1.0)
            "one picture": (LIKE_IT, "alike"), "two": (of_one_picture(TEXTURE, 2), "3 photos"),
            "one": (of_one_picture(TEXTURE, 1), "3 photos"),
            "one black": (replace(LIKE_IT, photos=LIKE_IT.photos * (torch.arange(9) > 0).reshape(9, 1, 1, 1)),
-           "dark"), "paper's light": (replace(LIKE_IT, views=replace(DEFAULT, falloff="none")), "falloff")}
+                         "dark: photo 00"),
+           "paper's light": (replace(LIKE_IT, views=replace(DEFAULT, falloff="none")), "falloff")}
 
 
 @pytest.mark.parametrize("case", NOTHING)

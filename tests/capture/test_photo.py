@@ -141,9 +141,7 @@ def test_a_mirrored_heic_is_shown_as_elsewhere(tmp_path):
 
 
 def dng(path, mosaic, flip=1, white=4000, neutral=(1, 1, 1)):
-    """The least of a DNG: one strip of a Bayer mosaic RGGB, 16 bits, uncompressed, white balance and linear
-    values stated.
-    """
+    """The least of a DNG: one strip of a Bayer mosaic RGGB, 16 bits, plain, with white balance."""
     height, width = mosaic.shape
     # XYZ to linear sRGB
     matrix = [3.2406, -1.5372, -0.4986, -0.9689, 1.8758, 0.0415, 0.0557, -0.2040, 1.0570]
@@ -209,6 +207,8 @@ def test_raw_files_share_one_white_balance(tmp_path):
     assert photos[2].pixels()[32, 48, 0] / values[0][0] == pytest.approx(0.5 / 0.4, rel=1e-3)
     assert any("white balance differs in 1 of 3 RAW files" in note and "0.dng" in note for note in notes)
     assert of_one_camera(photos[:2])[2] == []
+    with pytest.raises(CaptureError, match="two of 0.dng"):  # as from two folders
+        of_one_camera([*photos, photos[0]])
 
 
 def test_files_are_what_they_hold_whatever_their_names_are(tmp_path):

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import pytest
 from helpers import ROOT
+from helpers.colour_files import SPACES, icc_of
 from helpers.made_photos import LENS, POWER, SHEET, ground, optics, poses, stored, taken
 from helpers.rigs import lens_and_poses
 from helpers.tables import words_at_the_right
@@ -43,7 +44,8 @@ def made(truth, tmp_path_factory):
     rows, columns = np.mgrid[:900, :1200]
     mask = cv2.GaussianBlur(((columns - 250) ** 2 + (rows - 450) ** 2 < 370**2).astype(np.float32), (0, 0),
                             10)[..., None]
-    stored(raw / "finger.jpg", photo * (1 - mask) + mask * np.array((0.06, 0.012, 0.01)))
+    stored(raw / "finger.jpg", photo * (1 - mask) + mask * np.array((0.06, 0.012, 0.01)),
+           icc_profile=icc_of(*SPACES["Display P3"]))
     stored(raw / "dark.jpg", taken(what, LENS, aside, flash=False, seed=12), flash=0x10)
     stored(raw / "room.jpg",
            taken(what, LENS, Pose.looking_at((-2.5, 1, 25), (0, 0, 0)), flash=False, seed=13), flash=None)
@@ -110,6 +112,7 @@ def test_what_capture_json_says(made, truth):
     # svbrdf-diff-renderer's
     assert {"camera_pos", "light_pos", "light_pow", "im_size", "idx", "target_dir"} <= set(stated)
     assert (stated["unit"], stated["calibration"], stated["photos"]) == ("cm", "sheet", list(truth))
+    assert stated["colours"] == {}  # the one photo with a profile is rejected
     assert len(stated["rejected"]) == 9 and stated["uncertainty"]["flash_x"] < 0.1
     lens, found = lens_and_poses(stated["rig"])
     pixel = project(lens, found["IMG_3.jpg"], np.zeros((1, 3)))

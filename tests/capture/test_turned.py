@@ -83,14 +83,17 @@ def test_masks_and_single_pixels_turn_along_and_do_not_tell():
 
 
 @pytest.mark.parametrize("resolution", [SIDE, SIDE // 4])
-def test_reading_turns_them_before_photos_are_picked_or_shrunk(resolution, tmp_path):
-    right = (capture(grains(), 3).photos * 255).round().byte().numpy()
+@pytest.mark.parametrize("stated", [True, False])
+def test_reading_turns_them_before_photos_are_picked_or_shrunk(stated, resolution, tmp_path):
+    coarse = grains()[::3, ::3].repeat(3, 0).repeat(3, 1)[:SIDE, :SIDE]  # features of plain photos need it
+    right = (capture(coarse, 5).photos * 255).round().byte().numpy()
     wrong = right.copy()
     wrong[1] = wrong[1, ::-1, ::-1]
-    found = read_capture(json_capture(tmp_path, wrong), resolution, index=[0, 1])
+    folder = json_capture(tmp_path, wrong)
+    found = read_capture(folder if stated else folder / "target", resolution, index=[0, 1])
     means = right[:2].reshape(2, resolution, SIDE // resolution, resolution, -1, 3).mean(axis=(2, 4))
     assert np.allclose(found.photos.numpy() * 255, means, atol=1e-3)
-    assert "turned by 180 degrees beside the others, as the pattern shows: 01" in found.notes[0]
+    assert "turned by 180 degrees beside the others, as the pattern shows: 01" in found.notes[-1]
 
 
 @pytest.mark.parametrize("name", ["cards-blue", "leather-blue"])

@@ -7,6 +7,8 @@ import torch
 from helpers import ANALYTIC, MITSUBA, photos_of
 from helpers.hierarchical_fits import method_of, reached
 
+from mitsvbrdf.calibrate.estimate import estimate_views
+from mitsvbrdf.calibrate.readings import Reading, doubts
 from mitsvbrdf.calibrate.refine import Priors, refine_views
 from mitsvbrdf.capture import guess_diffuse
 from mitsvbrdf.color import to_display
@@ -52,9 +54,12 @@ def test_errors_and_deviations(made, shots):
     assert first and all(torch.equal(first[name], second[name]) for name in first)
 
 
-def test_refined_views(made, shots):
+def test_views_and_doubts(made, shots):
     found = [refine_views(made, each.views, each, Priors()).views for each in shots]
-    assert torch.equal(found[0].camera, found[1].camera) and torch.equal(found[0].light, found[1].light)
+    found += [estimate_views(replace(each, calibration="none")).views for each in shots]
+    for one, other in (found[:2], found[2:]):
+        assert torch.equal(one.camera, other.camera) and torch.equal(one.intensity, other.intensity)
+    assert len({doubts(Reading("left-up").of(each)).said for each in shots}) == 1
 
 
 def test_a_photo_that_is_masked_whole_tells_nothing_of_its_view(made, shots):

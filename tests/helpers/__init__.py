@@ -14,7 +14,5 @@ GRID = nine_view_grid()
 
 
 def photos_of(material: SVBRDF, views: Views = GRID, noise: float = 0.0) -> Capture:
-    """8-bit photos of a material as the analytic renderer draws them, with sensor noise of this standard
-    deviation.
-    """
+    """8-bit photos of a material by the analytic renderer, with sensor noise of this deviation."""
     return photograph(material, views, ANALYTIC, noise)

@@ -20,9 +20,7 @@ REASONS = ("crashed with signal 11", "took longer than 600 s", "needed more than
 
 
 def random_rows(count: int, seed: int = 0, unfinished: bool = False) -> list[dict]:
-    """Rows as a long batch leaves them: a few failed, some with warnings; running and pending ones where it
-    goes on.
-    """
+    """Rows as a long batch leaves them: some failed or with warnings; running and pending ones on the way."""
     random, begun = np.random.default_rng(seed), datetime.datetime(2026, 11, 1)
     rows = []
     for k in range(count):

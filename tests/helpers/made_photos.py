@@ -72,7 +72,7 @@ def taken(what, lens, pose, flash=True, seed=0):
     return out + 0.002 * np.random.default_rng(seed).standard_normal(out.shape)
 
 
-def stored(path, linear, flash=1, iso=100):
+def stored(path, linear, flash=1, iso=100, **how):
     """A JPEG with sRGB values and EXIF."""
     linear = np.clip(linear, 0, 1)
     display = np.where(linear <= 0.0031308, 12.92 * linear,
@@ -80,7 +80,8 @@ def stored(path, linear, flash=1, iso=100):
     exif = Image.Exif()
     focal = LENS.focal / math.hypot(*LENS.size) * math.hypot(36, 24)
     exif.get_ifd(0x8769).update({34855: iso, 41989: round(focal)} | ({} if flash is None else {37385: flash}))
-    Image.fromarray((display * 255).round().astype(np.uint8)).save(path, quality=95, subsampling=0, exif=exif)
+    shown = Image.fromarray((display * 255).round().astype(np.uint8))
+    shown.save(path, quality=95, subsampling=0, exif=exif, **how)
 
 
 def poses(scale=1.0, height=24.0):

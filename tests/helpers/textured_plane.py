@@ -27,9 +27,7 @@ def texture(seed=0, side=1200):
 
 
 def photo_of(material, lens, pose, seed, shine=1.2):
-    """What the phone stores: the material under its flash, with falloff, a highlight that moves with it, and
-    noise.
-    """
+    """What the phone stores: the material under its flash, with falloff, a moving highlight and noise."""
     columns, rows = np.meshgrid(np.arange(lens.size[0]), np.arange(lens.size[1]))
     at = on_plane(lens, pose, np.stack((columns, rows), axis=-1).reshape(-1, 2))
     texels = ((np.stack((at[:, 0], -at[:, 1]), axis=1) / SPAN + 0.5) * len(material) - 0.5).astype(np.float32)
@@ -67,9 +65,7 @@ def take(folder, poses, material=None, stated=27, **how):
 
 
 def position_errors(rig, poses):
-    """Distances to the true positions after the best common similarity of the plane, as shares of the
-    distance: N.
-    """
+    """Distances to the true positions, as shares of the distance, after the best common similarity: N."""
     ours = np.array([rig.poses[name].position for name in rig.poses])
     true = np.array([poses[name].position for name in rig.poses])
     a, b = ours[:, 0] + 1j * ours[:, 1], true[:, 0] + 1j * true[:, 1]

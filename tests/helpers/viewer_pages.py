@@ -19,9 +19,7 @@ def changed(svbrdf: SVBRDF, **maps) -> SVBRDF:
 
 @contextmanager
 def shown(svbrdf: SVBRDF, folder, width: int = 420, **window):
-    """The viewer in a page like ours, drawn once; a small window is a small canvas, which software draws
-    soon.
-    """
+    """The viewer in a page like ours, drawn once; software draws a small canvas soon."""
     file = folder / "viewer.html"
     file.write_text(page_text("report/base.html", title="A material").replace("</body>", viewer_html(svbrdf)
                                                                              + "</body>"))

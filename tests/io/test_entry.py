@@ -1,6 +1,4 @@
-"""The edge of the Python API: a program's own defaults come back, whatever happens behind it and in how many
-threads.
-"""
+"""The edge of the Python API: a program's own defaults come back, whatever happens behind it."""
 
 import threading
 from concurrent.futures import ThreadPoolExecutor

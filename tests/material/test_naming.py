@@ -22,8 +22,7 @@ SETS = {
                            "roughness=brick_arm_2k.jpg:1 metallic=brick_arm_2k.jpg:2"),
     "ambientCG": ("Metal046B.png Metal046B_1K-JPG_Color.jpg Metal046B_1K-JPG_Displacement.jpg "
                   "Metal046B_1K-JPG_Metalness.jpg Metal046B_1K-JPG_NormalDX.jpg "
-                  "Metal046B_1K-JPG_NormalGL.jpg "
-                  "Metal046B_1K-JPG_Roughness.jpg",
+                  "Metal046B_1K-JPG_NormalGL.jpg Metal046B_1K-JPG_Roughness.jpg",
                   "base_color=Metal046B_1K-JPG_Color.jpg metallic=Metal046B_1K-JPG_Metalness.jpg "
                   "normal=Metal046B_1K-JPG_NormalGL.jpg roughness=Metal046B_1K-JPG_Roughness.jpg"),
     "Substance": ("Wood_BaseColor.png Wood_Height.png Wood_Metallic.png Wood_Normal_DirectX.png "
@@ -36,6 +35,10 @@ SETS = {
     "glTF's samples": ("Default_albedo.jpg Default_AO.jpg Default_emissive.jpg Default_metalRoughness.jpg "
                        "Default_normal.jpg", "base_color=Default_albedo.jpg normal=Default_normal.jpg "
                        "roughness=Default_metalRoughness.jpg:1 metallic=Default_metalRoughness.jpg:2"),
+    "Poliigon": ("Rust_COL_2K_METALNESS.jpg Rust_METALNESS_2K_METALNESS.jpg Rust_NRM_2K_METALNESS.jpg "
+                 "Rust_ROUGHNESS_2K_METALNESS.jpg", "base_color=Rust_COL_2K_METALNESS.jpg "
+                 "metallic=Rust_METALNESS_2K_METALNESS.jpg normal=Rust_NRM_2K_METALNESS.jpg "
+                 "roughness=Rust_ROUGHNESS_2K_METALNESS.jpg"),
     "roughness first": ("x_col.png x_rma.png x_nrm.png", "base_color=x_col.png normal=x_nrm.png "
                         "roughness=x_rma.png:0 metallic=x_rma.png:1"),
     "gloss": ("Tiles_COLOR.jpg Tiles_GLOSS.jpg Tiles_NORM.jpg Tiles_SPEC.jpg",
