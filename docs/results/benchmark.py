@@ -151,8 +151,8 @@ lack of machine time.
 
 From seed 0 the default is the lowest on {beaten(by_capture)} captures. Its fits of captures settled after \
 {min(took["capture"]):.0f} to {max(took["capture"]):.0f} s, those of known materials after \
-{min(took["material"]):.0f} to {max(took["material"]):.0f} s ({settled} of {len(whole)} settled in \
-{LONGEST} s).
+{min(took["material"]):.0f} to {max(took["material"]):.0f} s: {settled} of {len(whole)}, each with a budget \
+of {LONGEST} s, which a last round may exceed.
 
 {markdown(seen, published)}
 {markdown(all_held, published)}
