@@ -20,6 +20,7 @@ from mitsvbrdf.bench.table import as_markdown
 
 HERE = Path(__file__).parent
 DETERMINED, METAL = 0.1, 0.2  # deviation of a determined texel, at most; F0 of a metal, at least
+NARROW = 0.6
 MADE, NOISES, SIDE = ("inlay", "tiles", "leather", "plates"), (0.003, 0, 0.01), 64
 LEVELS = ".3", ".02", ".04"  # F0 beside the materials' own
 GROUPS = ("all", "dielectric, highlight seen", "dielectric, not seen", "metal, highlight seen",
@@ -37,6 +38,12 @@ def totals(record: dict) -> pd.DataFrame:
     return pd.DataFrame(rows).groupby(["group", "map"], sort=False).sum()
 
 
+def share(within_alike: int, values: int, **_: int) -> str:
+    """How many true values lie within one deviation; bold where it is too narrow."""
+    text = f"{within_alike / values:.0%}"
+    return f"**{text}**" if within_alike < NARROW * values else text
+
+
 def page(record: dict) -> str:
     """The text of coverage.md."""
     found = totals(record)
@@ -50,8 +57,7 @@ def page(record: dict) -> str:
     sure = as_markdown(pd.DataFrame({group: {name: found.loc[(group, name), "sure"] for name in MAPS}
                                      for group in GROUPS}).T)
     each = pd.DataFrame({f"{case['material']}, F0 {case['f0']}, noise {case['noise']:g}, {case['side']} px": {
-        name: f"{case['groups']['all'][name]['within_alike'] / case['groups']['all'][name]['values']:.0%}"
-        for name in MAPS} for case in record["cases"]}).T
+        name: share(**case["groups"]["all"][name]) for name in MAPS} for case in record["cases"]}).T
     return f"""# Stated uncertainty
 
 ![Stated deviation against true error](coverage.svg)
@@ -74,10 +80,12 @@ own photos overstate its error.
 
 {sure}
 
-Shares by the texel's own photos, as `fit` counts. Deviations of specular and roughness are too wide, most \
+Shares by the texel's own photos, as `fit` counts. On the whole, deviations of specular and roughness are too wide, most \
 where no photo shows the highlight: such texels follow a lobe that others tell.
 
 ## Within one deviation, with look-alikes, by case
+
+Bold: below {NARROW:.0%}. The stated deviation is too narrow there.
 
 {as_markdown(each)}
 """
