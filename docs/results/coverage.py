@@ -80,8 +80,8 @@ own photos overstate its error.
 
 {sure}
 
-Shares by the texel's own photos, as `fit` counts. On the whole, deviations of specular and roughness are too wide, most \
-where no photo shows the highlight: such texels follow a lobe that others tell.
+Shares by the texel's own photos, as `fit` counts. On the whole, deviations of specular and roughness are \
+too wide, most where no photo shows the highlight: such texels follow a lobe that others tell.
 
 ## Within one deviation, with look-alikes, by case
 
