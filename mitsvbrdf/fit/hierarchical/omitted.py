@@ -16,7 +16,7 @@ MATTE = f"no block of texels needs a lobe, and one of {WEAK:g} would show"
 
 def decided_later(task: FitTask[HierarchicalConfig]) -> list[Omitted]:
     """What a fit may omit while it runs; ``why`` says on which condition."""
-    below = f"a coarse free fit leaves errors whose structure is below {EXACT:g}: {FOLLOW}"
+    below = f"a free, coarse fit leaves errors whose structure is below {EXACT:g}: {FOLLOW}"
     stated, lobe, anew = task.config.exact, may_be_omitted(task), _may_start_anew(task)
     if stated is not None:
         told = [(lobe, LOBE, f"if {MATTE}"), (lobe and anew, MULTI_START, "without a lobe")] if stated else []
