@@ -106,9 +106,7 @@ def painted_anew(monkeypatch):
 
 @pytest.fixture(scope="session", autouse=True)
 def photos_guessed_once() -> None:
-    """A fit's guess of photos that were fitted before is the one made then: a third of a second, the fifth of
-    a short fit.
-    """
+    """A guess of photos that were fitted before is the one made then: a third of a second less."""
     from mitsvbrdf.fit import task
 
     guess, made = task.guess_diffuse, {}
