@@ -113,8 +113,7 @@ def parts(transfer: str) -> tuple[Transfer, Curve | None]:
     curve = Curve(*map(float, found.groups())) if found else None
     known = 0.1 <= curve.gamma <= 10 and -0.9 <= curve.shoulder <= 100 if curve else name == transfer
     if name not in RESPONSES or not known:
-        raise ConfigError(f"a transfer function of {get_args(Transfer)}", repr(transfer),
-                          "choose one of these")
+        raise ConfigError(f"a transfer function of {get_args(Transfer)}", repr(transfer), "choose one")
     return cast(Transfer, name), curve
 
 

@@ -162,8 +162,7 @@ def data_folder(folder: Path | None = None) -> Path | None:
     """The folder of captures and known materials: as named, else MITSVBRDF_DATA, else None."""
     named = folder or (Path(os.environ["MITSVBRDF_DATA"]) if os.environ.get("MITSVBRDF_DATA") else None)
     if named is not None and not ((named / "captures").is_dir() or (named / "materials").is_dir()):
-        raise ConfigError("a folder with captures/ or materials/", str(named),
-                          "check --data and MITSVBRDF_DATA")
+        raise ConfigError("a folder with captures/ or materials/", str(named), "check --data, MITSVBRDF_DATA")
     return named
 
 

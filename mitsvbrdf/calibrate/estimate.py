@@ -86,8 +86,7 @@ def why_not(capture: Capture) -> str | None:
 
 @entry()
 def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
-    """The capture with views estimated from its photos, if it has none of its own; with a note, and what was
-    found.
+    """The capture with views estimated from its photos, if it has none, and a note; and what was found.
 
     A capture with known views is given back as it is, with None. Where views cannot be estimated
     (:func:`why_not`), the default geometry is taken, and a note says why.

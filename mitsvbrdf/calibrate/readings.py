@@ -64,8 +64,7 @@ class Reading:
     def __post_init__(self) -> None:
         check_fields(self)
         if self.axes not in get_args(Axes):
-            raise ConfigError(f"--axes of {', '.join(get_args(Axes))}", repr(self.axes),
-                              "choose one of these")
+            raise ConfigError(f"--axes of {', '.join(get_args(Axes))}", repr(self.axes), "choose one")
         for name, value in (("--side", self.side), ("--light-factor", self.light_factor)):
             if value is not None and not 1 / LARGEST <= value <= LARGEST:
                 raise ConfigError(f"{name} above 0, at most {LARGEST:g}", f"{value:g}", "choose another one")

@@ -22,7 +22,16 @@ from ..io.decode import header, picture, upright
 from ..io.images import averaged, display, unmasked
 from ..io.json import error_text, load
 from ..views import Falloff, Views, default_views
-from .capture import LEAST_SIDE, Calibration, Capture, Converted, converted, notes_of, single_pixels
+from .capture import (
+    LEAST_SIDE,
+    Calibration,
+    Capture,
+    Converted,
+    check_held,
+    converted,
+    notes_of,
+    single_pixels,
+)
 from .photo import HEIC, PLAIN, files_of, listed
 from .rectify import filled
 from .sharpness import CLEARLY, MOST_PHOTOS, carried, middle
@@ -35,7 +44,6 @@ COLOURS = dict[str, Converted]
 KINDS = {NUMBER: "a finite number", ROW: "three numbers", ROWS: "rows of three numbers",
          COLOURS: "`photos` and `outside` by name of a colour profile"}
 STATED = "target_dir", "camera_pos", "light_pos", "light_pow", "im_size", "idx"
-MOST_HELD = 500_000_000  # pixels of all photos of a capture together, after shrinking: 6 GB
 
 
 def stated_in(folder: Path) -> Path | None:
@@ -65,8 +73,7 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
         if key not in stated:
             raise CaptureError(f"the key {key!r}", f"{path} with {sorted(stated)}", "add it")
     if not isinstance(stated["target_dir"], str):
-        raise CaptureError("target_dir as text", f"{stated['target_dir']!r} in {path}",
-                           "name the photos' folder")
+        raise CaptureError("target_dir as text", f"{stated['target_dir']!r} in {path}", "name their folder")
     photos = _numbered(path.parent / stated["target_dir"])
     index = stated.get("idx")
     if uncalibrated:
@@ -176,13 +183,6 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
     return laid_alike(capture, Capture(torch.from_numpy(np.stack(larger)), views)) if larger else capture
 
 
-def check_held(photos: int, side: int, source: Path) -> None:
-    """CaptureError: so many photos of this size, once shrunk, hold too many pixels."""
-    if (held := photos * side**2) > MOST_HELD:
-        raise CaptureError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together",
-                           f"{held / 1e6:.0f} in {source}", "read them at a lower resolution")
-
-
 def _common_side(paths: list[Path], sizes: list[tuple[int, int]], source: Path) -> int:
     """Pixels a side of photos that are square and all of one size."""
     for path, (width, height) in zip(paths, sizes):
@@ -214,8 +214,7 @@ def _numbered(folder: Path) -> dict[int, Path]:
                                f"in {folder}", "remove one of them")
         paths[int(path.stem)] = path
     if not paths:
-        raise CaptureError("photos 00.png or 00.jpg, ...", f"none in {folder}",
-                           "add them or check target_dir")
+        raise CaptureError("photos 00.png or 00.jpg, ...", f"none in {folder}", "check target_dir")
     return dict(sorted(paths.items()))
 
 
@@ -243,8 +242,7 @@ def _power(value: Any, count: int, where: str) -> float | list:
 
 def _same_count(what: str, rows: int, photos: int) -> None:
     if rows != photos:
-        raise CaptureError(f"a row of {what} for each of {photos} photos", f"{rows} rows",
-                           "give one row a photo")
+        raise CaptureError(f"a row of {what} for each of {photos} photos", f"{rows} rows", "give one a photo")
 
 
 def _stated(value: Any, shape: Any, where: str) -> Any:

@@ -65,6 +65,7 @@ def used_transfer(transfer: Transfer, colours: Mapping[str, Converted]) -> tuple
 
 
 LEAST_SIDE = 8  # pixels
+MOST_HELD = 500_000_000  # pixels of all photos of a capture together, after shrinking: 6 GB
 SINGLE = 32  # single pixels a side that a shrunk photo keeps of the original
 
 # by the maker of a capture, a marker sheet, the features that raw photos share, or not at all
@@ -250,6 +251,13 @@ class Capture:
         pixels = {"photos": self.stored, "measured": self.measured, "single": self.single}
         return self.but(views=self.views.pick(rows), index=tuple(index), **{
             name: None if kept is None else kept[rows] for name, kept in pixels.items()})
+
+
+def check_held(photos: int, side: int, source: Path) -> None:
+    """CaptureError: so many photos of this size, once shrunk, hold too many pixels."""
+    if (held := photos * side**2) > MOST_HELD:
+        raise CaptureError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together",
+                           f"{held / 1e6:.0f} in {source}", "read them at a lower resolution")
 
 
 def single_pixels(picture: Any, resolution: int) -> Any:

@@ -20,8 +20,8 @@ from ..io.json import load
 from ..material.naming import SUFFIXES as MAPS
 from ..material.naming import kind_of
 from ..views import FIELD_OF_VIEW, Falloff, default_views
-from .calibrated import check_held, from_json, from_text, stated_in
-from .capture import LEAST_SIDE, Capture, converted, notes_of, used_transfer
+from .calibrated import from_json, from_text, stated_in
+from .capture import LEAST_SIDE, Capture, check_held, converted, notes_of, used_transfer
 from .lens import field_of_view
 from .photo import SUFFIXES, Photo, Unreadable, differences, files_of, photos_in, with_one_balance
 from .rectify import filled

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from ..errors import warn_of
-from .capture import LEAST_SIDE
+from .capture import LEAST_SIDE, check_held
 from .lens import Lens, Pose, project
 from .photo import Photo, reduced
 from .rig import Rig
@@ -38,6 +38,7 @@ class Rectified:
         sides = np.nan_to_num(np.linalg.norm(np.roll(at, -1, axis=1) - at, axis=2))
         shown = int(np.median(sides.min(axis=1)))  # pixels along the patch's shortest side
         side = max(LEAST_SIDE, min(resolution, shown))
+        check_held(len(photos), side, photos[0].path.parent)
         pictures, overlap, small, outside = {}, {}, {}, {}
         for n, photo in enumerate(photos):
             report(f"rectifying {photo.name}", n / len(photos))

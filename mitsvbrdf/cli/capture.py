@@ -54,8 +54,7 @@ def capture(photos: Annotated[Positional[Path], arg(
     if os.path.realpath(photos) in (os.path.realpath(out), os.path.realpath(out / "target")):
         raise folder_of_its_own(out, "photos")
     if sheet is None and depth != PAPER_THICKNESS:
-        raise ConfigError("--sheet CM beside --depth", f"--depth {depth:g} alone",
-                          "add --sheet, or omit --depth")
+        raise ConfigError("--sheet CM beside --depth", f"--depth {depth:g} alone", "give both, or none")
     if (photos / "capture.json").is_file():
         raise ConfigError("a folder of raw photos", f"{photos}, which is a capture already",
                           f"mitsvbrdf fit {photos} -o OUT")

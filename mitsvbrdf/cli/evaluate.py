@@ -63,9 +63,9 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
         shots = placed(photos, fit, None if transfer == "auto" else transfer)
         for note in shots.notes[len(photos.notes):]:
             say(note)
-        shots = shots if chosen is None else shots.pick(chosen)
         found = evaluate_photos(svbrdf, fit, shots, make_renderer(renderer, variant),
-                                Priors() if refine_views else None)
+                                Priors() if refine_views else None, chosen)
+        shots = shots if chosen is None else shots.pick(chosen)
         seen = "" if found["rmse_seen"] is None else " (seen)"
         labels = {name: name + (" (held out)" if name in found["held_out"] else seen) for name in shots.names}
         _print_errors(found["views"], found, labels)

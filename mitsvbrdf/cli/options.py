@@ -52,8 +52,7 @@ TransferOption = Annotated[TransferChoice, arg(help=(
     "for plain photos."))]
 FittedTransfer = Annotated[TransferChoice, arg(help=(
     "Encoding of light in photos. auto: as in a fit to these photos, else as the capture states."))]
-RefineViews = Annotated[bool, arg(
-    help="Measure again after refining camera, flash and exposure of each photo.")]
+RefineViews = Annotated[bool, arg(help="Measure again with camera, flash and exposure of photos refined.")]
 FalloffOption = Literal["auto", "inverse-square", "none"]
 
 

@@ -28,7 +28,7 @@ def render(
     variant: options.Variant = "llvm_ad_rgb", overwrite: options.Overwrite = False,
     strict: options.Strict = False,
 ) -> int:
-    """Render maps for the views of a capture: OUT/NN.png (display values) and NN.exr (linear)."""
+    """Render maps in the views of a capture, with the fit's flash offset: OUT/NN.png and NN.exr (linear)."""
     options.keep_apart(Path(views), out)
     options.keep_apart_from_maps(maps, out)
     svbrdf, fit = options.material_of(maps, 256, encoding, normal), options.fit_of_maps(maps)

@@ -23,25 +23,28 @@ from .placement import fitted_views, is_of, placed
 
 
 def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Renderer,
-                    priors: Priors | None = None) -> dict:
+                    priors: Priors | None = None, index: Sequence[int] | None = None) -> dict:
     """Errors of the re-rendered photos in display values.
 
-    Views are :func:`fitted_views`. They make the error smaller, and maps without a ``fit.json`` lack them. So
-    the errors of :func:`mitsvbrdf.evaluate.evaluate_capture` stand beside it.
+    Views are :func:`fitted_views`. Errors of :func:`mitsvbrdf.evaluate.evaluate_capture` stand beside these.
 
     Args:
         svbrdf: the material, of any resolution.
         fit: its views and light are used; the defaults for maps without a ``fit.json``.
         capture: N photos, as :func:`~mitsvbrdf.evaluate.placement.placed` leaves them.
         priors: if given, measure a third time, with refined views and frozen maps.
+        index: numbers of the photos to measure; None: all. All tell whether the fit is of this capture.
 
     Returns:
         ``views`` (in words), ``fitted_views`` and ``held_out`` (names of photos), ``rerender_rmse``,
         ``per_photo``, ``rmse_seen`` and ``rmse_held_out`` (None without such photos). ``calibrated`` and
         ``refined`` (None without priors) also have these four errors, and ``views``.
     """
-    views, fitted = fitted_views(fit, capture)
-    here = is_of(fit, capture)
+    here, (views, fitted) = is_of(fit, capture), fitted_views(fit, capture)
+    if index is not None:
+        capture, everything = capture.pick(index), capture.index
+        views = views.pick([everything.index(number) for number in capture.index])
+        fitted = [name for name in fitted if name in capture.names]
     seen = [name for name, number in zip(capture.names, capture.index) if here and number in fit.seen]
     held_out = [name for name in capture.names if here and name not in seen]
     total, each = rerender_errors(renderer, svbrdf.resized(capture.resolution), views, capture)
@@ -107,8 +110,7 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer,
         map_errors: gives the RMSE of each map against the known one; None if no maps are known.
         transfer: how display values encode radiance; None: see :func:`placed`.
         priors: if given, measure a third time, with refined views and frozen maps: alike for all methods.
-        index: numbers of the N photos to show; None: all. Where views are unknown, all photos help to
-            estimate them.
+        index: numbers of the N photos to show; None: all. All help to estimate unknown views.
 
     Returns:
         The record, ready for JSON, and for each method the pictures N x R x R x 3 in display values. An entry
@@ -122,17 +124,19 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer,
     if not names or len(set(names)) < len(names):
         raise ConfigError("methods with a name of their own", str(names or "none"), "write NAME=FOLDER")
     all_photos, capture = capture, capture if index is None else capture.pick(index)
+    rows = [all_photos.index.index(number) for number in capture.index]
     methods, pictures = [], []
     for one in entries:
         fit = one.fit
         shots = all_photos.but(views=replace(all_photos.views, falloff=fit.falloff))
-        shots = placed(shots, fit, transfer).pick(capture.index)
+        shots = placed(shots, fit, transfer)
         svbrdf = one.svbrdf.resized(capture.resolution)
-        images = rerender(renderer, svbrdf, fitted_views(fit, shots)[0], shots)[0]
+        views = fitted_views(fit, shots)[0].pick(rows)
+        images = rerender(renderer, svbrdf, views, shots.pick(capture.index))[0]
         pictures.append(color.to_display(images, shots.transfer))
         methods.append({"name": one.name, "folder": one.folder, "resolution": one.svbrdf.resolution,
             "bsdf": one.svbrdf.bsdf, "transfer": shots.transfer, "falloff": fit.falloff,
             "flash_offset": fit.flash_offset, "map_rmse": map_errors and dict(map_errors(svbrdf)),
-            **evaluate_photos(svbrdf, fit, shots, renderer, priors)})
+            **evaluate_photos(svbrdf, fit, shots, renderer, priors, capture.index)})
     return {"capture": capture.name or None, "photos": list(capture.names),
             "resolution": capture.resolution, "renderer": renderer.name, "methods": methods}, pictures

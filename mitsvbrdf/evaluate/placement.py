@@ -103,9 +103,7 @@ def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
 
 
 def named_views(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views, list[str]]:
-    """Names and views of a capture (from :func:`placed`; if its views are neither stated nor estimated, from
-    :func:`fitted_views`) or of ``builtin:grid``; and notes.
-    """
+    """Names and views of a capture, with the flash offset of the fit, or of ``builtin:grid``; and notes."""
     if source == "builtin:grid":
         views = replace(nine_view_grid(), falloff=falloff)
         return [f"{i:02d}" for i in range(len(views))], views, []
@@ -113,5 +111,6 @@ def named_views(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[
         raise CaptureError("a capture folder or builtin:grid", source, "check --views")
     read = read_capture(Path(source), falloff=falloff)
     shots = placed(read, fit := fit or Fit())
-    views = shots.views if shots.calibrated or fit.estimated else fitted_views(fit, shots)[0]
+    views = (shift_lights(shots.views, fit.flash_offset) if shots.calibrated or fit.estimated
+             else fitted_views(fit, shots)[0])
     return list(shots.names), views, list(shots.notes[len(read.notes):])

@@ -189,8 +189,7 @@ def _jpeg(path: Path, content: bytes) -> np.ndarray:
             image.draft("RGB", (image.width // 8 or 1, image.height // 8 or 1))
             image.load()
         pixels = simplejpeg.decode_jpeg(content, strict=False)
-        warn_of(f" is damaged ({complaint}), and what it shows may be wrong; copy it again", path,
-                stacklevel=4)
+        warn_of(f" is damaged ({complaint}) and may look wrong; copy it again", path, stacklevel=4)
         return pixels
 
 

@@ -154,8 +154,7 @@ def _in_rec709(linear: Tensor, path: Path, error: type[MitsvbrdfError]) -> Tenso
     try:
         pixels = to_rec709(linear.numpy(), stated)
     except ValueError as reason:
-        raise error("chromaticities of a colour space", f"{path}: {reason}",
-                    "export it as Rec. 709") from None
+        raise error("chromaticities of a colour space", f"{path}: {reason}", "export as Rec. 709") from None
     kept = pixels.clip(0, 1 if linear.max() <= 1 else None)
     _warn_outside(path, float((np.abs(kept - pixels) > OUTSIDE * pixels.max()).any(axis=-1).mean()))
     return torch.from_numpy(kept)

@@ -200,8 +200,7 @@ def _link_rest(out: Path, staged: Path, new: list[str]) -> None:
             ours = (name in mine and files.is_regular(there) if str(path) == name
                     else there.is_dir() and not there.is_symlink())
             if os.path.lexists(there) and not ours:
-                raise OutputError("room for new files", f"{there}, which is not ours",
-                                  "rename or move it away")
+                raise OutputError("room for new files", f"{there}, which is not ours", "move it away")
     for here, folders, names in os.walk(out):
         target = staged / Path(here).relative_to(out)
         if os.stat(here).st_dev != device:

@@ -35,8 +35,7 @@ def write_fit(result: Fit, capture: Capture, out: str | Path, command: dict | No
               held_out: Capture | None = None, pages: bool = True, overwrite: bool = False) -> None:
     """Write a fit into a folder, which appears whole or not at all.
 
-    It holds maps, detail, uncertainty, guess, photos, re-renderings, sheet, Mitsuba scene,
-    ``fit.json`` and the page.
+    It holds maps, detail, uncertainty, guess, photos, re-renderings, sheet, scene, ``fit.json`` and page.
 
     Args:
         result: what :func:`mitsvbrdf.fit.fit_svbrdf` gave.

@@ -9,9 +9,13 @@ import cv2
 import numpy as np
 import pytest
 from helpers.averages import area_means
+from helpers.made_photos import LENS, poses
 from helpers.stated_captures import json_capture, photos, save, text_capture
 
-from mitsvbrdf.capture import calibrated, read_capture
+from mitsvbrdf.capture import read_capture
+from mitsvbrdf.capture.photo import Photo
+from mitsvbrdf.capture.rectify import Rectified
+from mitsvbrdf.capture.rig import Rig
 from mitsvbrdf.errors import CaptureError, InputWarning, MitsvbrdfError, noted, strict
 
 
@@ -42,15 +46,18 @@ def test_one_photo_at_a_time_is_in_memory(tmp_path):
 
 
 def test_photos_kept_together_have_a_limit(tmp_path, monkeypatch):
-    monkeypatch.setattr(calibrated, "MOST_HELD", 3 * 8 * 8)
+    monkeypatch.setattr("mitsvbrdf.capture.capture.MOST_HELD", 3 * 8 * 8)
     json_capture(tmp_path)
     assert read_capture(tmp_path, resolution=8).resolution == 8
     with pytest.raises(CaptureError, match=f"megapixels together, .* in {tmp_path}; read them at a lower "
                                            "resolution"):
         read_capture(tmp_path, resolution=9)
-    monkeypatch.setattr(calibrated, "MOST_HELD", 7 * 7)
-    with pytest.raises(CaptureError, match="megapixels together"):
-        read_capture(tmp_path / "target/00.png")
+    monkeypatch.setattr("mitsvbrdf.capture.capture.MOST_HELD", 7 * 7)
+    rig = Rig(LENS, poses(), 11.52, "cm", "sheet")  # of raw photos, before one is read
+    for read in (lambda: read_capture(tmp_path / "target/00.png"), lambda: Rectified.of(
+            rig, [Photo(tmp_path / name, LENS.size) for name in rig.poses], 1024, lambda text, share: None)):
+        with pytest.raises(CaptureError, match="megapixels together"):
+            read()
 
 
 def test_a_damaged_photo_is_named_and_refused_when_strict(tmp_path):

@@ -17,7 +17,7 @@ from helpers import ANALYTIC, GRID, photos_of
 from mitsvbrdf import cli
 from mitsvbrdf.capture import read_capture, write_capture
 from mitsvbrdf.evaluate.photos import Entry, compare
-from mitsvbrdf.evaluate.placement import fitted_views, is_of
+from mitsvbrdf.evaluate.placement import fitted_views, is_of, named_views
 from mitsvbrdf.fit.result import Fit
 from mitsvbrdf.io import images
 from mitsvbrdf.material.made import make_material
@@ -83,10 +83,9 @@ def made_fit(folder, views, seen=(0, 1), **more):
     save_maps(make_material("inlay", SIDE), folder / "maps")
     views = views.pick(list(range(len(seen))))
     (folder / "fit.json").write_text(json.dumps({
-        "method": "hierarchical", "flash_offset": None, "capture": {"name": "photos", "transfer": "gamma2.2",
-                                                                    "photos": seen},
-        "views": {"size": 1.0, "falloff": "inverse-square", "camera": views.camera.tolist(),
-                  "light": views.light.tolist(), "intensity": views.intensity.tolist()}} | more))
+        "method": "hierarchical", "capture": {"name": "photos", "transfer": "gamma2.2", "photos": seen},
+        "flash_offset": None, "views": {"size": 1.0, "falloff": "inverse-square", **{
+            name: getattr(views, name).tolist() for name in ("camera", "light", "intensity")}}} | more))
     return folder
 
 
@@ -98,8 +97,8 @@ def compared(shots, tmp_path_factory):
     save_maps(flat(64, diffuse=0.2, roughness=0.6), folder / "a&b <i>")
     page, figures = folder / "page.html", folder / "figures.json"
     arguments = [str(fit), f"flat<script>={folder}/a&b <i>", "--capture", str(shots[0].source), "-o",
-                 str(page), "--json",
-                 str(figures), "--reference", "builtin:inlay", "--renderer", "analytic", "--refine-views"]
+                 str(page), "--json", str(figures), "--reference", "builtin:inlay", "--renderer", "analytic",
+                 "--refine-views"]
     assert cli.main(["compare", *arguments]) == 0
     return folder, json.loads(figures.read_text()), Page(page), arguments
 
@@ -116,18 +115,23 @@ def test_fitted_views_are_those_of_the_fit_for_the_photos_it_saw(shots):
     assert torch.allclose(views.light[1:], true.light[1:], atol=1e-12)
     assert torch.allclose(views.light[0] - capture.views.light[0],
                           torch.tensor([0.05, -0.02, 0.0], dtype=torch.float64))
+    _, there, _ = named_views(str(capture.source), "inverse-square", fit)  # of `render`
+    assert torch.allclose((there.light - capture.views.light)[:, :2], torch.tensor([[0.05, -0.02]]).double())
     elsewhere, names = fitted_views(fit.but(capture="others"), capture)
     assert not names and torch.allclose(elsewhere.light[:, 0] - capture.views.light[:, 0],
                                         torch.full((3,), 0.05).double())
 
 
-def test_folders_of_one_name_with_other_photos_are_other_captures(shots, tmp_path, monkeypatch):
+def test_folders_of_one_name_with_other_photos_are_other_captures(shots, tmp_path, monkeypatch, capsys):
     keep_photos(made_fit(tmp_path / "fit", shots[1]), shots[0].pick([0, 1]))
     write_capture(photos_of(make_material("leather", SIDE), shots[1]), tmp_path / "photos")
     for folder, ours in ((tmp_path / "photos", False), (shots[0].source, True)):
         monkeypatch.chdir(folder)
         for resolution in (SIDE, 13):
             assert is_of(Fit.of_maps(tmp_path / "fit"), read_capture(".", resolution)) is ours
+        assert cli.main(["evaluate", str(tmp_path / "fit"), "--capture", ".", "--views", "2", "--renderer",
+                         "analytic", "--resolution", str(SIDE)]) == 0  # no photo that the fit saw
+        assert ("(held out)" in capsys.readouterr().out) is ours
 
 
 def test_a_folder_with_another_name_and_equal_photos_is_the_same_capture(shots, tmp_path):
@@ -256,16 +260,15 @@ def test_names(shots, tmp_path, monkeypatch):
     stated = json.loads((tmp_path / "two/fit.json").read_text())
     stated["views"]["falloff"], stated["capture"]["transfer"] = "none", "srgb"
     (tmp_path / "two/fit.json").write_text(json.dumps(stated))
-    assert cli.main(["compare", "x=y", "a/maps", "b", "mine=b", "one", "two", "--capture",
-                     str(shots[0].source), "-o",
-                     "page.html", "--json", "e.json", "--views", "1", "--renderer", "analytic"]) == 0
-    record = json.loads((tmp_path / "e.json").read_text())
+    assert cli.main(["compare", "x=y", "a/maps", "b", "mine=b", "one", "two", "-o", "p.html", "--json", "e",
+                     "--views", "1", "--renderer", "analytic", "--capture", str(shots[0].source)]) == 0
+    record = json.loads((tmp_path / "e").read_text())
     assert [m["name"] for m in record["methods"]] == ["x=y", "a", "b", "mine", "one", "two"]
     assert record["resolution"] == 16 and record["photos"] == ["01"] and record["reference"] is None
     assert [m["resolution"] for m in record["methods"]] == [16, 16, 16, 16, 32, 32]
     one, two = record["methods"][4:]
     assert one["falloff"] == "inverse-square" and (two["falloff"], two["transfer"]) == ("none", "srgb")
-    page = Page(tmp_path / "page.html")
+    page = Page(tmp_path / "p.html")
     assert "Map RMSE" not in page.text and page.pixels("photo 01 by mine").shape == (16, 16, 3)
 
 
@@ -276,15 +279,12 @@ def test_principled_maps_are_shown_as_diffuse_and_specular(shots):
 
 
 @pytest.mark.parametrize("arguments, words", [
-    (["nowhere", "--capture", "PHOTOS"], ("a folder of maps", "nowhere")),
+    (["nowhere"], ("a folder of maps", "nowhere")),
     (["maps", "--capture", "nowhere"], ("a folder of photos", "nowhere")),
-    (["maps", "--capture", "PHOTOS", "--reference", "nowhere"], ("a folder of maps", "nowhere")),
-    (["maps", "--capture", "PHOTOS", "--resolution", "4"], ("--resolution", "4")),
-    (["maps", "--capture", "PHOTOS", "--views", "7"], ("photo numbers", "7")),
-    (["m=maps", "m=maps", "--capture", "PHOTOS"], ("a name of their own",)),
-    (["broken", "--capture", "PHOTOS"], ("a fit.json of this package", "broken")),
-    (["uneven", "--capture", "PHOTOS"], ("square maps of one size", "uneven")),
-    (["maps", "--capture", "PHOTOS", "-o", "maps"], ("a file to write", "folder"))])
+    (["maps", "--reference", "nowhere"], ("a folder of maps", "nowhere")),
+    (["maps", "--resolution", "4"], ("--resolution", "4")), (["maps", "--views", "7"], ("numbers", "7")),
+    (["m=maps", "m=maps"], ("a name of their own",)), (["broken"], ("a fit.json of this package", "broken")),
+    (["uneven"], ("square maps of one size", "uneven")), (["maps", "-o", "maps"], ("a file to", "folder"))])
 def test_mistakes_are_one_error(arguments, words, shots, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     for name in ("maps", "broken", "uneven"):
@@ -292,9 +292,9 @@ def test_mistakes_are_one_error(arguments, words, shots, tmp_path, monkeypatch, 
     (tmp_path / "broken/fit.json").write_text("{}")
     images.write_exr(tmp_path / "uneven/normal.exr", torch.tensor([0.5, 0.5, 1.0]).expand(4, 4, 3))
     before = sorted(tmp_path.rglob("*"))
-    output = [] if "-o" in arguments else ["-o", "page.html"]
-    assert cli.main(["compare", *(str(shots[0].source) if a == "PHOTOS" else a for a in arguments), *output,
-                     "--renderer", "analytic"]) == 2
+    usual = {"--capture": str(shots[0].source), "-o": "page.html"}
+    more = [word for option, value in usual.items() if option not in arguments for word in (option, value)]
+    assert cli.main(["compare", *arguments, *more, "--renderer", "analytic"]) == 2
     message = capsys.readouterr().err
     assert message.count("error:") == 1 and all(word in message for word in words), message
     assert sorted(tmp_path.rglob("*")) == before

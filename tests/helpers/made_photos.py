@@ -48,9 +48,7 @@ def optics(lens):
 
 
 def taken(what, lens, pose, flash=True, seed=0):
-    """What the phone stores, H x W x 3 linear radiance: flash or an even light, vignetting, a highlight on
-    the material.
-    """
+    """What the phone stores, H x W x 3 linear radiance: flash or even light, vignetting, a highlight."""
     albedo, side = what
     (ray, arrives), shape = optics(lens), lens.size[::-1]
     ray = pose.rotation.T @ ray.T  # 3 x K: whole rows are many times quicker than columns

@@ -80,9 +80,7 @@ def position_errors(rig, poses):
 
 
 def misalignment(rig, poses):
-    """RMS distance, in pixels at 512, between the points of the material that rectified photos show at the
-    same place.
-    """
+    """RMS distance, in pixels at 512, between points of the material at one place of rectified photos."""
     steps = (np.arange(9) + 0.5) / 9 - 0.5
     grid = np.array([[x, y, 0.0] for y in steps for x in steps]) * rig.size
     seen = np.stack([on_plane(LENS, poses[name], project(rig.lens, pose, grid))
