@@ -51,7 +51,6 @@ def in_threads(work, count):
 
 @contextlib.contextmanager
 def another_thread_draws():
-    """Another thread holds the lock of Mitsuba meanwhile."""
     held, done = threading.Event(), threading.Event()
 
     def draw():
@@ -68,7 +67,6 @@ def another_thread_draws():
 
 
 def assert_free():
-    """Another thread gets the lock of the process."""
     with ThreadPoolExecutor(1) as pool:
         assert pool.submit(PROCESS.acquire, timeout=5).result()
         pool.submit(PROCESS.release).result()

@@ -123,8 +123,7 @@ def test_full_scene_is_what_mitsubas_own_plugins_draw():
     x, y, z = view.light[0].tolist()
     scene = mi.load_dict(patch_scene(mi, 24, Needs(), plugin("roughconductor", Needs(), texture, stock=True))
                          | {
-        "integrator": {"type": "path", "max_depth": 32},
-        "light": {"type": "point", "position": [x, y, z],
+        "integrator": {"type": "path", "max_depth": 32}, "light": {"type": "point", "position": [x, y, z],
                   "intensity": {"type": "rgb", "value": view.intensity[0].tolist()}}})
     scene.sensors()[0].position = type(scene.sensors()[0].position)(*view.camera[0].tolist())
     drawn = torch.as_tensor(mi.render(scene, spp=1).numpy())[None]
