@@ -34,8 +34,8 @@ pytest_plugins = ["mitsvbrdf.testing.plugin", "pytester"]
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """LLVM compiles kernels of quick tests without its optional passes, in a third of the time. Slow tests,
-    and commands in processes of their own, have them compiled as users do.
+    """LLVM compiles kernels of quick tests without its optional passes, in a third of the time, and those of
+    slow tests as users have them.
     """
     from mitsvbrdf.errors import BackendError
     from mitsvbrdf.render.llvm import use_llvm
