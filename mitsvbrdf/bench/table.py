@@ -5,6 +5,8 @@ from typing import Any, NamedTuple
 
 import pandas as pd
 
+from ..report.page import figure
+
 # The errors that judge each kind of task, and their names in titles.
 ERRORS = {"material": {"mean": "maps", "novel_light": "images under new light"},
           "capture": {"held_out": "held-out photos", "seen": "photos seen"}}
@@ -87,7 +89,7 @@ def note(group: Judged) -> str:
     found = summary(group.records, group.error)
     seeds = found["seeds"].max()
     ended = found[found["ended"]].groupby("method", sort=False)["seconds"].agg(["min", "max"])
-    ends = "; ".join(f"`{method}` after {' to '.join(dict.fromkeys(f'{s:.3g}' for s in span))} s"
+    ends = "; ".join(f"`{method}` after {' to '.join(dict.fromkeys(figure(s) for s in span))} s"
                      for method, *span in ended.itertuples())
     return ((f"Median of {seeds} seeds (quartiles)." if seeds > 1 else "One seed.")
             + (f" † ended by itself: {ends}." if ends else ""))

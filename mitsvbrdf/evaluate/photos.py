@@ -45,19 +45,20 @@ def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Render
         capture, everything = capture.pick(index), capture.index
         views = views.pick([everything.index(number) for number in capture.index])
         fitted = [name for name in fitted if name in capture.names]
-    seen = [name for name, number in zip(capture.names, capture.index) if here and number in fit.seen]
-    held_out = [name for name in capture.names if here and name not in seen]
+    seen = [row for row, number in enumerate(capture.index) if here and number in fit.seen]
+    held_out = [row for row in range(len(capture)) if here and row not in seen]
     total, each = rerender_errors(renderer, svbrdf.resized(capture.resolution), views, capture)
 
     def apart(found: dict) -> dict:
-        parts = {"rmse_seen": seen, "rmse_held_out": held_out}
-        return found | {part: of_all([found["per_photo"][name] for name in names]) if names else None
-                        for part, names in parts.items()}
+        each, told = list(found["per_photo"].values()), capture.measured
+        return found | {part: of_all([each[k] for k in rows], told if told is None else told[rows]) if rows
+                        else None for part, rows in (("rmse_seen", seen), ("rmse_held_out", held_out))}
 
     stated = evaluate_capture(svbrdf, capture, renderer, fit.flash_offset, priors)
     refined = stated.pop("refined", None)
     shown = apart({"rerender_rmse": total, "per_photo": dict(zip(capture.names, each))})
-    return {"views": _words(fit, fitted, capture), "fitted_views": fitted, "held_out": held_out} | shown | {
+    return {"views": _words(fit, fitted, capture), "fitted_views": fitted,
+            "held_out": [capture.names[row] for row in held_out]} | shown | {
         "calibrated": {"views": _words(fit, [], capture)} | apart(stated),
         "refined": refined and apart(refined)}
 
@@ -115,7 +116,7 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer,
     Returns:
         The record, ready for JSON, and for each method the pictures N x R x R x 3 in display values. An entry
         of ``methods`` describes the maps and the fit, and has ``map_rmse`` (or None) and what
-        :func:`evaluate_photos` returns.
+        :func:`evaluate_photos` returns. ``same_views``: all methods have the same views before flash offsets.
 
     Raises:
         ConfigError: there is no entry, or two entries have one name.
@@ -125,11 +126,12 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer,
         raise ConfigError("methods with a name of their own", str(names or "none"), "write NAME=FOLDER")
     all_photos, capture = capture, capture if index is None else capture.pick(index)
     rows = [all_photos.index.index(number) for number in capture.index]
-    methods, pictures = [], []
+    methods, pictures, lit = [], [], set[str]()
     for one in entries:
         fit = one.fit
         shots = all_photos.but(views=replace(all_photos.views, falloff=fit.falloff))
         shots = placed(shots, fit, transfer)
+        lit.add(str([getattr(shots.views, part).tolist() for part in ("camera", "light", "intensity")]))
         svbrdf = one.svbrdf.resized(capture.resolution)
         views = fitted_views(fit, shots)[0].pick(rows)
         images = rerender(renderer, svbrdf, views, shots.pick(capture.index))[0]
@@ -139,4 +141,5 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer,
             "flash_offset": fit.flash_offset, "map_rmse": map_errors and dict(map_errors(svbrdf)),
             **evaluate_photos(svbrdf, fit, shots, renderer, priors, capture.index)})
     return {"capture": capture.name or None, "photos": list(capture.names),
-            "resolution": capture.resolution, "renderer": renderer.name, "methods": methods}, pictures
+            "resolution": capture.resolution, "renderer": renderer.name, "same_views": len(lit) == 1,
+            "methods": methods}, pictures

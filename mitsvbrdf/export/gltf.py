@@ -36,17 +36,14 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
     metallic. ``KHR_materials_specular``, for ``roughconductor`` materials only, carries F0; viewers without
     it show 0.04.
     """
-    material, factor, lost = svbrdf, None, {}
+    material, factor = svbrdf, None
     if svbrdf.bsdf == "roughconductor":
         material = layered(svbrdf, svbrdf["specular"].amax(dim=-1, keepdim=True))
         factor = relative_f0(svbrdf, DIELECTRIC_F0)
-        for kind, f0 in {"with KHR_materials_specular": factor,
-                         "without it": torch.ones_like(factor)}.items():
-            f0 = f0 * DIELECTRIC_F0
-            lost[kind] = shown_residual(svbrdf, material, f0, f0.amax(dim=-1, keepdim=True))
+        lost = {"with KHR_materials_specular": shown_residual(svbrdf, material, factor * DIELECTRIC_F0),
+                "without it": shown_residual(svbrdf, material)}
     else:
-        glass = torch.full_like(svbrdf["metallic"], DIELECTRIC_F0)
-        lost = {"base colour as it is": shown_residual(svbrdf, svbrdf, glass, glass)}
+        lost = {"base colour as it is": shown_residual(svbrdf, svbrdf)}
     shaded = occlusion(heights(svbrdf["normal"], settings.repeats), settings.repeats)
     shaded = shaded[..., None].to(material["roughness"])
     packed = torch.cat((shaded, material["roughness"], material["metallic"]), dim=-1)

@@ -11,7 +11,7 @@ from ..io import files, images
 from ..material.conversion import FULL_LEVEL, layered
 from ..material.encoding import ENCODINGS
 from ..material.map_set import DESCHAINTRE
-from ..material.maps import DIELECTRIC_F0, SVBRDF
+from ..material.maps import SVBRDF
 from ..material.naming import FILE_NAMES
 from ..material.relief import heights, occlusion
 from .residual import shown_residual
@@ -30,18 +30,17 @@ def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
     naming, normal, side = settings.naming, settings.normal, settings.side
     if naming == "deschaintre":
         return _strip(folder, svbrdf, settings)
-    both, lost = dict(svbrdf.as_roughconductor().maps), {}
-    level = (both["specular"].mean(dim=-1, keepdim=True) / FULL_LEVEL).clamp_max(1.0)
-    material = svbrdf
+    both, material = dict(svbrdf.as_roughconductor().maps), svbrdf
     if svbrdf.bsdf == "roughconductor":
+        level = (both["specular"].mean(dim=-1, keepdim=True) / FULL_LEVEL).clamp_max(1.0)
         material = layered(svbrdf, FULL_LEVEL * level)
-        level = torch.where(material["metallic"] > 0, 0.5, level)
-        for kind, f0 in {"with the specular level": FULL_LEVEL * level,
-                         "without it": torch.full_like(level, DIELECTRIC_F0)}.items():
-            lost[kind] = shown_residual(svbrdf, material, f0, f0)
+        both["specular_level"] = level = torch.where(material["metallic"] > 0, 0.5, level)
+        lost = {"with the specular level": shown_residual(svbrdf, material, FULL_LEVEL * level),
+                "without it": shown_residual(svbrdf, material)}
+    else:
+        lost = {"base colour as it is": shown_residual(svbrdf, svbrdf)}
     height = heights(svbrdf["normal"], settings.repeats)
-    both |= {**material.maps, "specular_level": level,
-             "occlusion": occlusion(height, settings.repeats).float()[..., None],
+    both |= {**material.maps, "occlusion": occlusion(height, settings.repeats).float()[..., None],
              "height": (height + 0.5).clamp(0, 1)[..., None]}
     both["packed"] = torch.cat((both["occlusion"], both["roughness"], both["metallic"]), dim=-1)
     unit = f"the patch's side, {side:.6g} metres" if side else "the patch's side"
@@ -50,16 +49,16 @@ def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
     chosen = {key.removesuffix(f" {normal}"): file for key, file in FILE_NAMES[naming].items()}
     textures = write_pngs(folder, {
         key: (f"{file.replace('NAME', _safe(settings.name))}.png", both[key],
-              16 if key == "height" else settings.bits) for key, file in chosen.items()
-        if key in both and not (key == "specular_level" and svbrdf.bsdf == "principled")}, normal)
+              16 if key == "height" else settings.bits)
+        for key, file in chosen.items() if key in both}, normal)
     written = [replace(texture, holds=holds.get(key, key)) for key, texture in textures.items()]
     if naming in ("own", "materialgan"):  # names that load_maps knows
         files.write_json(folder / "material.json", {
             "bsdf": "roughconductor" if naming == "materialgan" else svbrdf.bsdf, "size": svbrdf.resolution,
             "encoding": {key: code for key, code in ENCODINGS["srgb"].items() if key in chosen}
             | {"normal": NORMALS[normal]}})
-    lossy = bool(lost) and "metallic" in chosen
-    notes = (NOTES["maps"]["lossy"],) * lossy + (NOTES["maps"]["gamma"],) * (naming == "materialgan")
+    lossy = "metallic" in chosen
+    notes = (NOTES["maps"][svbrdf.bsdf],) * lossy + (NOTES["maps"]["gamma"],) * (naming == "materialgan")
     return Export(tuple(texture.file for texture in written), tuple(written), notes, lost if lossy else None)
 
 

@@ -23,12 +23,14 @@ DOCUMENTS = {"material.mtlx": ("1.38", "standard_surface"), "openpbr.mtlx": ("1.
 
 def write_materialx(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
     """Write ``folder/material.mtlx``, ``folder/openpbr.mtlx`` and ``folder/textures/*``."""
-    material, level, largest, lost = svbrdf, DIELECTRIC_F0, 1.0, {}
+    material, level, largest = svbrdf, DIELECTRIC_F0, 1.0
     if svbrdf.bsdf == "roughconductor":
         level = usual_f0(svbrdf)
         material, relative = layered(svbrdf, torch.tensor(level)), relative_f0(svbrdf, level)
         lost = {"materialx": shown_residual(svbrdf, material, relative * level, torch.tensor(level))}
         largest = max(float(relative.max()), 1.0)  # a texture's values end at 1, the factor's do not
+    else:
+        lost = {"base colour as it is": shown_residual(svbrdf, svbrdf)}
     maps = {name: (f"textures/{name}.png", value, settings.bits) for name, value in material.maps.items()}
     if svbrdf.bsdf == "roughconductor":
         maps["specular"] = "textures/specular_color.png", relative / largest, settings.bits

@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..color import to_display
 from ..material.conversion import as_shown
-from ..material.maps import SVBRDF
+from ..material.maps import DIELECTRIC_F0, SVBRDF
 from ..measure.metrics import map_rmse, photo_rmse
 from ..render.analytic import AnalyticRenderer
 from ..views import Views
@@ -16,6 +16,7 @@ HEIGHT = 2.0  # of the camera, above the centre, in patch sides
 LIGHTS = {"at the camera": (0.0, 0.0, HEIGHT), "beside it": (0.8, 0.3, HEIGHT), "oblique": (1.5, 0.0, 0.6)}
 TEXELS = 1024  # a side
 SIDE = 256  # pixels of the pictures, at most
+GLASS = torch.tensor(DIELECTRIC_F0)
 IRRADIANCE = math.pi / 2  # at the centre: the radiance of white paper is half of that at display value 1
 
 
@@ -37,10 +38,12 @@ def residual(svbrdf: SVBRDF, converted: SVBRDF) -> dict[str, float]:
     return {name: errors[name] for name in ("diffuse", "specular")} | dict(zip(LIGHTS, pictures))
 
 
-def shown_residual(svbrdf: SVBRDF, material: SVBRDF, f0: Tensor, taken: Tensor) -> dict[str, float]:
+def shown_residual(svbrdf: SVBRDF, material: SVBRDF, f0: Tensor = GLASS, taken: Tensor | None = None,
+                   ) -> dict[str, float]:
     """:func:`residual` of what a client shows (:func:`mitsvbrdf.material.conversion.as_shown`); of large
-    maps, every k-th texel counts.
+    maps, every k-th texel counts. By default, the highlight takes the largest channel of ``f0``.
     """
+    taken = f0.amax(dim=-1, keepdim=True) if taken is None else taken
     step = max(1, svbrdf.resolution // TEXELS)
 
     def some(value: Tensor) -> Tensor:

@@ -13,7 +13,7 @@ from ..io import files, images
 from ..material.conversion import layered, usual_f0
 from ..material.maps import COLOURS, DIELECTRIC_F0, SVBRDF
 from ..render.bsdf import index_from_f0
-from .residual import shown_residual
+from .residual import GLASS, shown_residual
 from .textures import DEFAULTS, LINEAR, NOTES, Export, ExportSettings, Texture, rendered, write_pngs
 
 MATERIAL, PATCH = "material.usda", "patch.usda"
@@ -24,27 +24,26 @@ INPUTS = {"base_color": "color3f diffuseColor rgb", "metallic": "float metallic 
 
 def write_usd(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
     """Write ``folder/material.usda``, ``folder/patch.usda`` and ``folder/textures/*.png``."""
-    material, textures, lost = svbrdf, {}, {}
+    material, textures = svbrdf, {}
     decoding = {"normal": {"scale": "2, 2, 2, 1", "bias": "-1, -1, -1, 0"}}
-    usual = DIELECTRIC_F0
+    usual = GLASS
     if svbrdf.bsdf == "roughconductor":
-        f0, usual = svbrdf["specular"].mean(dim=-1, keepdim=True).clamp_max(HIGHEST_F0), usual_f0(svbrdf)
+        f0 = svbrdf["specular"].mean(dim=-1, keepdim=True).clamp_max(HIGHEST_F0)
+        usual = torch.tensor(usual_f0(svbrdf))
         material = layered(svbrdf, f0)
-        for kind, level in {"preview surface": f0,
-                            "preview surface, one refractive index": torch.full_like(f0, usual)}.items():
-            lost[kind] = shown_residual(svbrdf, material, level, level)
+        lost = {"preview surface": shown_residual(svbrdf, material, f0),
+                "preview surface, one refractive index": shown_residual(svbrdf, material, usual)}
         beyond = index_from_f0(torch.where(material["metallic"] > 0, DIELECTRIC_F0, f0)) - 1
         most = max(float(beyond.max()), 1e-6)
         decoding["ior"] = {"scale": ", ".join([f"{most:.7g}"] * 4), "bias": "1, 1, 1, 1"}
         images.write_png(folder / "textures/ior.png", beyond / most, 16)
         textures["ior"] = Texture("textures/ior.png", f"(refractive index - 1) / {most:.6g}", LINEAR, 16)
     else:
-        glass = torch.full_like(svbrdf["metallic"], DIELECTRIC_F0)
-        lost = {"base colour as it is": shown_residual(svbrdf, svbrdf, glass, glass)}
+        lost = {"base colour as it is": shown_residual(svbrdf, svbrdf)}
     textures |= write_pngs(folder, {
         name: (f"textures/{name}.png", value, 8 if name in COLOURS else settings.bits)
         for name, value in material.maps.items()})
-    about = {"index": float(index_from_f0(torch.tensor(usual))), "half": 50 * (settings.side or 0.01),
+    about = {"index": float(index_from_f0(usual)), "half": 50 * (settings.side or 0.01),
              "wrap": "repeat" if settings.repeats else "clamp", "maps": [
                  dict(zip(("kind", "input", "channels"), INPUTS[name].split()), name=name, file=texture.file,
                       colour_space=texture.colour_space, decoding=decoding.get(name, {}))

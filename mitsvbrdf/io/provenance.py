@@ -4,16 +4,19 @@ import contextlib
 import importlib.metadata
 import os
 import platform
+import re
 from pathlib import Path
 
-GROUPS = Path("/sys/fs/cgroup")
+GROUPS, CPUS = Path("/sys/fs/cgroup"), Path("/proc/cpuinfo")
 PACKAGES = ("mitsvbrdf", "mitsuba", "drjit", "torch", "numpy", "opencv-contrib-python-headless", "OpenEXR",
             "av")
 
 
 def machine() -> dict[str, str | int | None]:
-    """What a run time depends on: system, kind of CPU, cores, and the libLLVM in use."""
-    return {"system": platform.system(), "cpu": platform.machine(), "cores": os.cpu_count(),
+    """What a run time depends on: system, model of the CPU (else its kind), cores, and the libLLVM in use."""
+    told = re.search(r"^model name\s*: (.+)", CPUS.read_text() if CPUS.exists() else "", re.MULTILINE)
+    model = told[1].strip() if told else platform.processor() or platform.machine()
+    return {"system": platform.system(), "cpu": model, "cores": os.cpu_count(),
             "libllvm": os.path.basename(os.environ.get("DRJIT_LIBLLVM_PATH", "")) or None}
 
 

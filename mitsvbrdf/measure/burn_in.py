@@ -7,9 +7,8 @@ R^2 of a map's variance that a cubic in the coverage angle explains: 0 for maps 
 (3 / (n - 1) on average for n texels of pure noise), 1 for maps that depend on nothing else. A material whose
 own pattern resembles that of the highlights has some, too.
 
-Each single highlight leaves an oval as wide as the lobe, which the smallest angle blurs.
-:func:`local_burn_in` looks for ovals. A map rolled sideways has other parts of the material where the
-highlights were. Fine texture counts as variance, so burn-in falls a little with the resolution.
+Each highlight leaves an oval as wide as the lobe, which the smallest angle blurs; :func:`local_burn_in`
+looks for ovals. Fine texture counts as variance, so burn-in falls a little with the resolution.
 """
 
 from collections.abc import Iterator

@@ -12,8 +12,7 @@ from ..material.encoding import ENCODINGS
 from ..material.maps import SVBRDF
 from ..views import strips
 
-# Errors are relative to the pixel's own value. Where that is below this share of the reference's mean, they
-# are relative to that share.
+# Errors are relative to the pixel's own value, and at least to this share of the reference's mean.
 FLOOR = 1e-3
 
 
@@ -70,7 +69,7 @@ def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "g
         measured: N x R x R, False where a pixel does not count; None: all count.
 
     Returns:
-        The error over all photos (the root of the mean of their squared errors), and one for each photo.
+        The error over all photos (:func:`of_all`), and one for each photo; 0 without a measured pixel.
 
     Raises:
         CaptureError: shapes that differ, or no photo.
@@ -79,21 +78,20 @@ def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "g
         shapes = f"{tuple(rerendered.shape)} and {tuple(photos.shape)}"
         raise CaptureError("re-rendered and real photos of one shape N x R x R x 3", shapes,
                            "render every view at the photos' resolution")
-    count, side = photos.shape[:2]
-    total, share = torch.zeros(count, dtype=torch.float64), torch.ones(count, dtype=torch.float64)
-    if measured is not None:
-        share = measured.double().mean(dim=(1, 2)).clamp_min(1e-9)
-    for rows in strips(side):
+    total = torch.zeros(len(photos), dtype=torch.float64)
+    pixels = photos[0, ..., 0].numel() if measured is None else measured.sum(dim=(1, 2)).clamp_min(1)
+    for rows in strips(photos.shape[1]):
         shown = color.to_display(rerendered[:, rows].detach().double(), transfer)
         squares = (shown - color.clip(color.shown(photos[:, rows]).double())).square()
         total += (squares if measured is None else squares * measured[:, rows, :, None]).sum(dim=(1, 2, 3))
-    each = (total / share / photos[0].numel()).sqrt().tolist()
-    return of_all(each), each
+    each = (total / pixels / photos.shape[3]).sqrt().tolist()
+    return of_all(each, measured), each
 
 
-def of_all(each: Sequence[float]) -> float:
-    """The RMSE over all photos, from the RMSE of each photo."""
-    return math.sqrt(sum(error**2 for error in each) / len(each))
+def of_all(each: Sequence[float], measured: Tensor | None = None) -> float:
+    """The RMSE over all measured pixels (N x R x R; None: all pixels), from the RMSE of each of N photos."""
+    pixels = [1] * len(each) if measured is None else measured.sum(dim=(1, 2)).tolist()
+    return math.sqrt(sum(n * error**2 for n, error in zip(pixels, each)) / max(sum(pixels), 1))
 
 
 def image_error(image: Tensor, reference: Tensor) -> dict[str, float]:

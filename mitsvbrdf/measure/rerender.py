@@ -44,7 +44,7 @@ def rerendered(renderer: Renderer, svbrdf: SVBRDF, views: Views, capture: Captur
         samples.append(sampled(images.movedim(-1, 1), min(side, svbrdf.resolution)).movedim(1, -1))
         whole = images if len(parts) == 1 else None
         del images  # before others are rendered
-    return Rerendered(of_all(each), each, torch.cat(samples), whole)
+    return Rerendered(of_all(each, capture.measured), each, torch.cat(samples), whole)
 
 
 def rerender_errors(renderer: Renderer, svbrdf: SVBRDF, views: Views,

@@ -39,8 +39,7 @@ LIMITS: dict[str, Limits] = {
 }
 
 ROUGH_FROM = 0.1  # below, highlights are so narrow that no one number bounds float32's own error
-# The largest errors allowed over texels of at least that roughness, all views together; gradients for each
-# map.
+# The largest errors allowed over texels of at least that roughness, of all views; gradients of each map.
 TOLERANCES = {"image": {"mean": 5e-7, "p99.9": 5e-6}, "gradients": {"relative_l2": 2e-6, "1 - cosine": 1e-9}}
 
 # Relative L2 errors that count as float32's own. Measured where nothing is extreme: images up to 6e-7,

@@ -3,7 +3,8 @@
 As in Mitsuba's own test suite (``src/render/tests/test_renders.py``): a two-sided test of every value with
 Sidak's correction, which holds however the channels of a pixel depend on each other. The mean of each channel
 is tested too: pixels and means share the significance level evenly. docs/testing.md says what a picture must
-be like. Where the variance is estimated from passes, Student's t, turned into a normal score, allows for it.
+be like. Where the variance is estimated from passes, Student's t, turned into a normal score, allows for it;
+the mean of a channel has the degrees of freedom of Welch (1947) and Satterthwaite.
 
 Measured on made materials under an area light, 24 px, 16 passes of 4 samples, 200 seeds, significance 0.01:
 leather fails 1 % of the time; glazed tiles, whose sharp highlights few samples find, 12.5 %, and 0.5 % with
@@ -59,7 +60,7 @@ def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, refe
         variance_or_passes: the variance of the values of ``image`` (that of one sample over their number), H
             x W x C; or the independent pictures, K x H x W x C with K >= 8, whose mean ``image`` is.
         reference: H x W x C, what it should be.
-        reference_variance: of the values of ``reference``, which then must not share samples with ``image``.
+        reference_variance: of ``reference``, H x W x C or a number; it then shares no samples with ``image``.
         significance: how often a correct picture fails, at most: one in a hundred by default.
         outliers: share of the values that may lie outside.
 
@@ -71,40 +72,39 @@ def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, refe
     if not 0 < significance < 1:
         raise ConfigError("a significance between 0 and 1", str(significance), "give 0.01")
     if not 0 <= outliers < 1:
-        raise ConfigError("outliers from 0 to less than 1", str(outliers),
-                          "give the share of the values, e.g. 0.0025")
-    image, reference, spread = image.double(), reference.double(), variance_or_passes.double()
+        raise ConfigError("outliers from 0 to less than 1", str(outliers), "give a share, e.g. 0.0025")
+    given = (image, variance_or_passes, reference, torch.as_tensor(reference_variance))
+    image, spread, reference, known = (each.double() for each in given)
     degrees = math.inf
     if (image.ndim != 3 or not image.shape == reference.shape == spread.shape[-3:]
-            or spread.ndim not in (3, 4)):
-        shapes = " and ".join(str(tuple(each.shape)) for each in (image, spread, reference))
-        raise MapsError("image, variance and reference of one shape H x W x C", shapes,
-                        "compare one view at a time")
+            or spread.ndim not in (3, 4) or known.ndim and known.shape != image.shape):
+        raise MapsError("image, variances and reference of one shape H x W x C",
+                        " and ".join(str(tuple(each.shape)) for each in given), "compare one view at a time")
     if spread.ndim == 4:
         passes, degrees = spread, len(spread) - 1
         if len(passes) < FEWEST_PASSES or not torch.allclose(passes.mean(dim=0), image, rtol=1e-4, atol=1e-6):
             raise MapsError(f"{FEWEST_PASSES} passes or more, whose mean the image is",
-                            f"{len(passes)} passes", "render "
-                            "with that many seeds and give the mean of all as the image")
+                            f"{len(passes)} passes", "render with more seeds, and give their mean as image")
         spread = passes.var(dim=0) / len(passes)
-    for each in (spread, torch.as_tensor(reference_variance)):
+    for each in (spread, known):
         if not (torch.isfinite(each) & (each >= 0)).all():
             raise MapsError("variances that are finite and not below 0",
                             f"{float(each.min()):.3g} to {float(each.max()):.3g}",
                             "look at the samples they come from")
     off = image - reference
-    variance = (spread + reference_variance).clamp_min((SUM_ROUNDING * float(reference.abs().mean())) ** 2)
-    z = _normal_score(off / variance.sqrt(), degrees)
-    z_limit, bias_limit = (float(stats.norm.isf(0.5 - 0.5 * (1 - significance) ** (0.5 / n)))
+    least = max((SUM_ROUNDING * float(reference.abs().mean())) ** 2, torch.finfo(torch.float64).tiny)
+    variance = (spread + known).clamp_min(least)
+    z = _normal_score(off / variance.sqrt(), torch.tensor(degrees))
+    z_limit, bias_limit = (float(stats.norm.isf(-math.expm1(math.log1p(-significance) / 2 / n) / 2))
                            for n in (z.numel(), z.shape[-1]))
     outside = float((~(z.abs() <= z_limit)).double().mean())
-    bias = off.sum(dim=(0, 1)) / variance.sum(dim=(0, 1)).sqrt()
+    total = variance.sum(dim=(0, 1))
+    bias = _normal_score(off.sum(dim=(0, 1)) / total.sqrt(),
+                         degrees / (spread / total).square().sum(dim=(0, 1)))
     return ZTest(z, z_limit, outside, outliers, bias, bias_limit)
 
 
-def _normal_score(t: Tensor, degrees: float) -> Tensor:
-    """A t statistic as the standard normal value of the same tail probability."""
-    if math.isinf(degrees):
-        return t
-    tail = stats.t.sf(t.abs().cpu(), degrees)
-    return t.sign() * torch.as_tensor(stats.norm.isf(tail), device=t.device)
+def _normal_score(t: Tensor, degrees: Tensor) -> Tensor:
+    """Scores of t statistics: the standard normal values of the same tail probability."""
+    score = torch.as_tensor(stats.norm.isf(stats.t.sf(t.abs().cpu(), degrees.cpu())), device=t.device)
+    return torch.where(degrees.isinf(), t, t.sign() * score)

@@ -118,20 +118,19 @@ def _read_hdr(path: Path) -> Tensor:
 def white_luminance(image: Tensor) -> float:
     """Luminance of a white diffuse surface that faces up in this environment: its irradiance over pi.
 
-    Rows are interpolated as Mitsuba does: the first is the zenith, the last the nadir.
+    Rows are interpolated as Mitsuba does: the first is the zenith, the last the nadir. No row is skipped.
     """
     rows = image.mean(dim=1, dtype=torch.float64) @ LUMINANCE
-    angles = 2 * 1024 + 1
-    rows = F.interpolate(rows[None, None], angles, mode="linear", align_corners=True)[0, 0, :1025]
-    theta = torch.linspace(0, math.pi / 2, 1025, dtype=torch.float64)
+    half = (len(rows) - 1) * math.ceil(1024 / (len(rows) - 1))  # steps from the zenith to the horizon
+    rows = F.interpolate(rows[None, None], 2 * half + 1, mode="linear", align_corners=True)[0, 0, :half + 1]
+    theta = torch.linspace(0, math.pi / 2, half + 1, dtype=torch.float64)
     return float(torch.trapezoid(rows * torch.cos(theta) * torch.sin(theta), theta)) * 2
 
 
 # Direction of a softbox, half its width and height at distance 1, its radiance and colour.
 SOFTBOXES = (((-0.62, -0.75, 0.72), (0.34, 0.34), 26.0, (1.0, 0.97, 0.93)),  # key: left, behind the camera
              ((1.0, -0.25, 0.30), (0.14, 0.55), 9.0, (0.92, 0.96, 1.0)),     # fill: a strip at the right
-             # rim: overhead, behind the object
-             ((0.15, 0.9, 0.80), (0.24, 0.16), 20.0, (1.0, 1.0, 1.0)))
+             ((0.15, 0.9, 0.80), (0.24, 0.16), 20.0, (1.0, 1.0, 1.0)))           # rim: overhead, behind
 
 
 def studio(height: int = 256) -> Tensor:
@@ -145,8 +144,7 @@ def studio(height: int = 256) -> Tensor:
     image = (room + wall)[..., None].expand(*d.shape)
     for place, (wide, high), radiance, colour in SOFTBOXES:
         axis = F.normalize(torch.tensor(place, dtype=torch.float64), dim=0)
-        right = F.normalize(torch.linalg.cross(axis, torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64)),
-                            dim=0)
+        right = F.normalize(torch.linalg.cross(axis, torch.tensor([0, 0, 1.0]).double()), dim=0)
         up = torch.linalg.cross(right, axis)
         ahead = (d @ axis).clamp_min(1e-6)
         inside = _soft(wide - (d @ right / ahead).abs()) * _soft(high - (d @ up / ahead).abs())

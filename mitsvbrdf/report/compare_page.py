@@ -59,15 +59,14 @@ def _table(record: dict) -> list[dict]:
         groups.append({"title": "Map RMSE",
                        "rows": [row(TITLES.get(name, name), [m["map_rmse"][name] for m in methods])
                                 for name in (*MAPS, "mean")]})
-    counted = len({(m["transfer"], m["falloff"]) for m in methods}) == 1
+    counted = record["same_views"] and len({(m["transfer"], m["falloff"]) for m in methods}) == 1
     unmoved = counted and not any(m["flash_offset"] for m in methods)
     calibrated = not any(m["fitted_views"] for m in methods)
     alike = calibrated and unmoved
     rows = [row("all photos, as pictured", [m["rerender_rmse"] for m in methods], alike)]
     if any(m["held_out"] for m in methods):  # not comparable: each fit has its own photos
-        rows.append(row("those that the fit saw, as pictured", [m["rmse_seen"] for m in methods],
-                        alike=False))
-        rows.append(row("those that the fit did not see", [m["rmse_held_out"] for m in methods], alike=False))
+        rows.append(row("those that the fit saw, as pictured", [m["rmse_seen"] for m in methods], False))
+        rows.append(row("those that the fit did not see", [m["rmse_held_out"] for m in methods], False))
     if not calibrated:
         rows.append(row("all, calibration and flash offset",
                         [m["calibrated"]["rerender_rmse"] for m in methods], unmoved))

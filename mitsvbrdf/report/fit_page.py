@@ -127,7 +127,8 @@ def _predicted(found: Fit, capture: Capture, engine: Renderer, into: Path) -> tu
         images.write_png(into / "predicted" / f"{name}.png", image[0],
                          shown=partial(color.to_display, transfer=capture.transfer))
     return [{"name": name, "held_out": True, "rmse": error, "photo": f"photos/{name}.png",
-             "rerendered": f"predicted/{name}.png"} for name, error in zip(capture.names, each)], of_all(each)
+             "rerendered": f"predicted/{name}.png"} for name, error in zip(capture.names, each)
+            ], of_all(each, capture.measured)
 
 
 def _earlier(found: Fit) -> tuple[list[dict], float | None]:

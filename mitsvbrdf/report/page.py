@@ -8,7 +8,6 @@ Jinja2 is loaded with the first page.
 from __future__ import annotations
 
 import functools
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -43,14 +42,12 @@ def _environment() -> jinja2.Environment:
 
 
 def figure(value: float | None) -> str:
-    """A number as people read it: 3.2e-07, 0.0123, 12.3; a dash for None."""
+    """A number as people read it, to three digits: 3.2e-07, 0.0123, 12.3, 1230; a dash for None."""
     if value is None:
         return "–"
-    if not math.isfinite(value):
-        return str(value)
-    return f"{value:.1e}" if value and not 1e-3 <= abs(value) < 1e4 else f"{value:.3g}"
+    return f"{value:.1e}" if value and not 1e-3 <= abs(value) < 1e4 else f"{float(f'{value:.3g}'):g}"
 
 
 def seconds(value: float) -> str:
     """Seconds as people read them: 31 ms, 2.4 s."""
-    return f"{value * 1e3:.3g} ms" if value < 1 else f"{value:.3g} s"
+    return f"{figure(value * 1e3)} ms" if value < 1 else f"{figure(value)} s"

@@ -40,9 +40,12 @@ def assert_renderers_agree(
     Raises:
         AssertionError: they differ. The message names renderer, image or map, figure, limit, and a page that
             shows where.
-        ConfigError: limits are left out for a renderer that is not ours, or gradients asked for are missing.
+        ConfigError: no renderer; limits are left out for a renderer that is not ours, negative, NaN, or all
+            infinite; or gradients asked for are missing.
     """
     __tracebackhide__ = True
+    if not renderers:
+        raise ConfigError("one renderer or more", "none", "name those to compare")
     engines = [make_renderer(r) if isinstance(r, str) else r for r in (reference, *renderers)]
     limits = [_limits(r.name, image_mean, image_p999, gradients) for r in engines[1:]]
     wanted = any(math.isfinite(limit.gradients) for limit in limits)
@@ -68,6 +71,8 @@ def _limits(name: str, *given: float | None) -> Limits:
     if None in limits:
         raise ConfigError(f"limits for the renderer {name!r}, which is none of {list(LIMITS)}",
                           "some left out", "give image_mean, image_p999 and gradients")
+    if not all(limit >= 0 for limit in limits) or min(limits) == math.inf:
+        raise ConfigError("limits from 0, not all infinite", f"{limits} for {name}", "else all agree or none")
     return Limits(*limits)
 
 

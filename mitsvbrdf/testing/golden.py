@@ -47,12 +47,12 @@ def assert_matches_golden(result: Tensor | SVBRDF, name: str, *, rtol: float = 1
         AssertionError: it differs, has another shape, is not finite, or there is no golden file; the message
             names the page, the new EXR file and the way to accept it.
         MapsError: a result of another kind, or a golden file that cannot be read.
-        ConfigError: a bad name, a call outside a test, or neither ``rtol`` nor ``flip`` to compare by.
+        ConfigError: a bad name, a call outside a test, or tolerances that are negative, NaN, or no limit.
     """
     __tracebackhide__ = True
-    if math.isinf(rtol) and flip >= 1:
-        raise ConfigError("a finite rtol, or a flip below 1", f"rtol={rtol}, flip={flip}",
-                          "with these, everything matches")
+    if not (rtol >= 0 and atol >= 0 and flip >= 0 and (rtol + atol < math.inf or flip < 1)):
+        raise ConfigError("tolerances from 0, with finite rtol and atol or a flip below 1",
+                          f"rtol={rtol}, atol={atol}, flip={flip}", "else everything matches, or nothing")
     path, layers = _golden_path(name), _layers(result)
     if not all(torch.isfinite(layer).all() for layer in layers.values()):
         raise AssertionError(f"{name} has values that are not finite: it was neither compared nor written")
@@ -103,8 +103,9 @@ def _compared(name: str, layers: Layers, golden: Layers, rtol: float, atol: floa
     figures, notes = [], []
     for layer, value in layers.items():
         label = f"{layer}: " if layer else ""
-        if math.isfinite(rtol):
-            excess = _excess(value, golden[layer], rtol, atol)
+        if rtol + atol < math.inf:
+            off = (value.double() - golden[layer]).abs()
+            excess = torch.where(off == 0, 0.0, off / (atol + rtol * golden[layer].double().abs()))
             figures.append(Figure(f"{label}largest difference, in tolerances", float(excess.max()), 1.0))
             if figures[-1].missed:
                 worst = torch.unravel_index(excess.argmax(), excess.shape)
@@ -115,12 +116,6 @@ def _compared(name: str, layers: Layers, golden: Layers, rtol: float, atol: floa
             look = flip_error(_shown(layer, value), _shown(layer, golden[layer]), "linear")
             figures.append(Figure(f"{label}mean FLIP error", float(look.mean()), flip))
     return f"{name} does not match its golden file" * any(f.missed for f in figures), figures, notes
-
-
-def _excess(value: Tensor, golden: Tensor, rtol: float, atol: float) -> Tensor:
-    """Differences divided by the tolerance, float64; 0 where there is no difference."""
-    off = (value.double() - golden.double()).abs()
-    return torch.where(off == 0, 0.0, off / (atol + rtol * golden.double().abs()))
 
 
 def _shapes(layers: Layers) -> str:

@@ -22,7 +22,7 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     group = parser.getgroup("mitsvbrdf", "golden images and pages of failed comparisons (mitsvbrdf)")
     group.addoption("--mitsvbrdf-update", action="store_true",
                     help="Write new results over golden files that are missing or no longer match.")
-    group.addoption("--mitsvbrdf-report", metavar="DIR", type=Path,
+    group.addoption("--mitsvbrdf-report", metavar="DIR",
                     help="Folder for the pages of failed comparisons. Default: .mitsvbrdf-report in rootdir.")
 
 

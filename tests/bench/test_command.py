@@ -48,13 +48,11 @@ def test_ctrl_c_ends_with_130_and_keeps_records(out, monkeypatch, capsys):
 
 @pytest.mark.parametrize("extra, words", [
     (["--methods", "magic"], "hybrid"), (["--methods", ","], "none"), (["--budgets", "10,none"], "--budgets"),
-    (["--budgets", "0"], "--budgets"), (["--seeds", "-1"], "--seeds"),
-    (["--seeds", "99999999999"], "--seeds"),
+    (["--budgets", "0"], "--budgets"), (["--seeds", "-1"], "--seeds"), (["--seeds", "9999999999"], "--seeds"),
     (["--resolution", "4"], "--resolution"), (["--materials", "builtin:gold"], "made material"),
-    (["--materials", "nowhere"], "nowhere"), (["--captures", "nowhere"], "nowhere"),
-    (["--data", "nowhere"], "nowhere"), (["--views", "nowhere"], "nowhere"),
     (["--materials", "none"], "--materials"), (["--materials", "inlay,builtin:inlay"], "inlay twice"),
-    (["--held-out", "x"], "4,7")])
+    (["--held-out", "x"], "4,7"),
+    *(([option, "nowhere"], "nowhere") for option in ("--materials", "--captures", "--data", "--views"))])
 def test_mistakes_are_one_error(extra, words, out, capsys):
     assert cli.main([*TINY, "--json", str(out), *extra]) == 2
     message = capsys.readouterr().err

@@ -14,7 +14,7 @@ from mitsvbrdf import cli
 from mitsvbrdf.calibrate.estimate import Problem, estimate_views, self_calibrated, why_not
 from mitsvbrdf.capture import Capture, read_capture, write_capture
 from mitsvbrdf.errors import CaptureError
-from mitsvbrdf.evaluate.photos import evaluate_fit
+from mitsvbrdf.evaluate.photos import Entry, compare, evaluate_fit
 from mitsvbrdf.evaluate.placement import placed
 from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf
 from mitsvbrdf.fit.diagnose import about_views, views_record
@@ -221,6 +221,9 @@ def test_photos_left_out_are_predicted_from_views_estimated_from_all(glossy, tmp
     assert float((moved.camera - fit.views.camera)[:, :2].mean(dim=0).abs().max()) < 1e-9
     for there, here in ((fit.views.camera[:, 2], moved.camera[:, 2]), (fit.views.intensity, moved.intensity)):
         assert abs(float((there / here).log().mean())) < 1e-9
+    entries = [Entry(name, name, fit.svbrdf, each) for name, each in zip("abc", (fit, Fit(), Fit()))]
+    for few, alike in ((entries, False), (entries[1:], True)):  # the fit moves the views that are estimated
+        assert compare(few, shots, ANALYTIC, index=[4, 7])[0]["same_views"] is alike
     with pytest.raises(CaptureError, match="3 photos"):
         placed(shots.pick([4, 7]), fit)
     given = replace(shots, calibration="photos")

@@ -145,15 +145,13 @@ def test_a_folder_with_another_name_and_equal_photos_is_the_same_capture(shots, 
 def test_true_maps_with_true_views_leave_the_rounding_of_the_photos(compared):
     _, record, _, _ = compared
     fit, other = record["methods"]
-    # The photos have 8 bits: a uniform error of one step has a deviation of 1 / (255 sqrt 12) = 0.00113, 0
-    # where clipped.
+    # The photos have 8 bits: a uniform error of one step has a deviation of 1 / (255 sqrt 12) = 0.00113.
     assert all(0.0005 < fit["per_photo"][name] < 0.0013 for name in ("00", "01"))
     assert fit["per_photo"]["02"] > 0.004  # its view has the wrong light
     assert fit["fitted_views"] == ["00", "01"] and fit["held_out"] == ["02"]
-    assert fit["calibrated"]["per_photo"]["00"] > 0.004 and fit["refined"]["per_photo"]["02"] < fit[
-        "per_photo"]["02"]
-    assert other["fitted_views"] == [] == other["held_out"] and other["per_photo"] == other["calibrated"][
-        "per_photo"]
+    assert fit["calibrated"]["per_photo"]["00"] > 0.004 and other["fitted_views"] == [] == other["held_out"]
+    assert fit["refined"]["per_photo"]["02"] < fit["per_photo"]["02"]
+    assert other["per_photo"] == other["calibrated"]["per_photo"]
     assert max(fit["map_rmse"].values()) < 1e-6 and other["map_rmse"]["diffuse"] > 0.05  # EXR keeps float32
     squares = np.mean(np.square(list(other["per_photo"].values())))
     assert other["rerender_rmse"] == pytest.approx(np.sqrt(squares), rel=1e-9)
@@ -163,9 +161,8 @@ def test_evaluate_finds_the_same_figures(compared, shots):
     folder, record, _, _ = compared
     for path, method in ((folder / "fit", record["methods"][0]), (folder / "a&b <i>", record["methods"][1])):
         found = folder / "evaluate.json"
-        common = ["evaluate", str(path), "--json", str(found), "--overwrite"]
-        assert cli.main([*common, "--capture", str(shots[0].source), "--renderer", "analytic", "--resolution",
-                         str(SIDE)]) == 0
+        assert cli.main(["evaluate", str(path), "--json", str(found), "--overwrite", "--capture",
+                         str(shots[0].source), "--renderer", "analytic", "--resolution", str(SIDE)]) == 0
         alone = json.loads(found.read_text())
         for name in ("rerender_rmse", "per_photo"):
             assert method[name] == pytest.approx(alone[name], rel=1e-6)
@@ -197,8 +194,7 @@ def test_the_page_shows_what_was_measured(compared, shots):
         error = np.sqrt(np.mean(np.square((by_fit - stored) / 255)))
         # Pictures are rounded to 8 bits, which adds at most half a step, 0.002, to the error.
         assert error == pytest.approx(record["methods"][0]["per_photo"][name], abs=0.002)
-    # 0.2 in sRGB is 1.055 * 0.2^(1 / 2.4) - 0.055 = 0.4845 = 124 / 255; 0.6 is 153 / 255; the normal points
-    # up.
+    # 0.2 in sRGB is 1.055 * 0.2^(1 / 2.4) - 0.055 = 0.4845 = 124 / 255; 0.6 is 153 / 255; the normal is up.
     for title, value in (("Diffuse", (124, 124, 124)), ("Roughness", (153, 153, 153)),
                          ("Normal", (128, 128, 255))):
         pixels = page.pixels(f"flat<script>: {title}")
@@ -221,8 +217,7 @@ def test_the_table_has_every_figure(compared):
         assert page.values(row) == [round(value, 4) for value in values]
     # of the fit; the maps beside it saw nothing
     seen, left = methods[0]["rmse_seen"], methods[0]["rmse_held_out"]
-    assert seen == pytest.approx(np.sqrt(np.mean([methods[0]["per_photo"][name] ** 2 for name in ("00",
-                                                                                                  "01")])))
+    assert seen == pytest.approx(np.sqrt(np.mean([methods[0]["per_photo"][k] ** 2 for k in ("00", "01")])))
     for title, value in (("those that the fit saw, as pictured", seen),
                          ("those that the fit did not see", left)):
         assert re.search(rf"{title}</th><td>{value:.4f}</td><td>–</td>", page.text)
@@ -265,7 +260,7 @@ def test_names(shots, tmp_path, monkeypatch):
     record = json.loads((tmp_path / "e").read_text())
     assert [m["name"] for m in record["methods"]] == ["x=y", "a", "b", "mine", "one", "two"]
     assert record["resolution"] == 16 and record["photos"] == ["01"] and record["reference"] is None
-    assert [m["resolution"] for m in record["methods"]] == [16, 16, 16, 16, 32, 32]
+    assert [m["resolution"] for m in record["methods"]] == [16] * 4 + [32] * 2 and record["same_views"]
     one, two = record["methods"][4:]
     assert one["falloff"] == "inverse-square" and (two["falloff"], two["transfer"]) == ("none", "srgb")
     page = Page(tmp_path / "p.html")
@@ -278,8 +273,7 @@ def test_principled_maps_are_shown_as_diffuse_and_specular(shots):
     assert record["methods"][0]["bsdf"] == "principled" and pictures.shape == shots[0].photos.shape
 
 
-@pytest.mark.parametrize("arguments, words", [
-    (["nowhere"], ("a folder of maps", "nowhere")),
+@pytest.mark.parametrize("arguments, words", [(["nowhere"], ("a folder of maps", "nowhere")),
     (["maps", "--capture", "nowhere"], ("a folder of photos", "nowhere")),
     (["maps", "--reference", "nowhere"], ("a folder of maps", "nowhere")),
     (["maps", "--resolution", "4"], ("--resolution", "4")), (["maps", "--views", "7"], ("numbers", "7")),

@@ -1,6 +1,7 @@
 """Photos are rendered one by one where they are large; those that a fit saw are rendered with its views."""
 
 import json
+import math
 from dataclasses import replace
 
 import pytest
@@ -50,8 +51,7 @@ def test_seen_photos_are_measured_with_the_views_of_the_fit():
 
 
 def test_photos_are_seen_as_each_fit_saw_them():
-    # Photos under light without falloff, in sRGB, which their folder does not say; the bound is that of 8
-    # bits, below.
+    # Photos under light without falloff, in sRGB, which their folder does not say; the bound is of 8 bits.
     maps, views = make_material("inlay", SIDE), nine_view_grid(distance=1.0).pick([1, 3])
     photos = photograph(maps, replace(views, falloff="none"), ANALYTIC, transfer="srgb")
     fits = [Fit().but(falloff=falloff, transfer=transfer, shots=photos, seen=(0, 1))
@@ -64,6 +64,10 @@ def test_photos_are_seen_as_each_fit_saw_them():
     assert theirs < 0.0013 and light > 0.004 and code == stated > 0.004
     whole = fits[0].but(renderer="analytic", svbrdf=maps, capture=None)
     assert evaluate_fit(whole, photos)["rerender_rmse"] == theirs
+    measured = (torch.arange(SIDE) < torch.tensor([[4], [SIDE]]))[..., None].expand(2, SIDE, SIDE)
+    found = evaluate_fit(whole, photos.but(measured=measured))  # of one photo, 4 of 32 rows count
+    pooled = math.sqrt(sum(n * e**2 for n, e in zip((4, 32), found["per_photo"].values())) / 36)
+    assert found["rmse_seen"] == pytest.approx(pooled, rel=1e-9) == found["rerender_rmse"]
 
 
 def test_a_made_reference_has_the_size_of_the_maps(tmp_path):

@@ -56,8 +56,7 @@ def test_a_file_that_cannot_be_read_is_one_error(tmp_path, monkeypatch):
     assert load(tmp_path / "large") == {}
 
 
-@pytest.mark.parametrize("value, shape, said",
-                         [({"a": 1, "b": [1.5, 2]}, {"a": int, "b": [NUMBER]}, ""),
+@pytest.mark.parametrize("value, shape, said", [({"a": 1, "b": [1.5, 2]}, {"a": int, "b": [NUMBER]}, ""),
                           ({"a": {"x": 1, "more": 2}}, {"a": {"x": int}}, ""),
                           ({"a": 1}, {"a": int, "b": [NUMBER]},
                            "the whole (object missing required field b)"),

@@ -1,6 +1,7 @@
 """What surrounds the shapes, against closed forms."""
 
 import math
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -9,7 +10,6 @@ import torch
 from helpers.variants import mostly_slow
 
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.export.mitsuba import SCENES
 from mitsvbrdf.io import images
 from mitsvbrdf.relight import environment
 
@@ -21,25 +21,20 @@ def test_white_that_faces_up_has_luminance_0_8(mi, suffix, tmp_path):
         name = str(tmp_path / f"sky{suffix}")
         image = 5 * torch.rand(9, 24, 3, generator=torch.Generator().manual_seed(1))
         image[2, 5] = 300
-        write_picture(image, name)
+        if suffix == ".exr":
+            images.write_exr(Path(name), image)
+        else:
+            cv2.imwrite(name, np.ascontiguousarray(image.numpy()[..., ::-1]))
     scene = mi.load_dict({
         "type": "scene", "integrator": {"type": "direct"}, **environment.make_environment(mi, name).emitters,
-        "sensor": {"type": "perspective", "to_world": mi.ScalarTransform4f().look_at([0, 0, 1], [0, 0, 0],
-                                                                                     [0, 1, 0]),
+        "sensor": {"type": "perspective",
+                   "to_world": mi.ScalarTransform4f().look_at([0, 0, 1], [0, 0, 0], [0, 1, 0]),
                    "film": {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}},
         "plane": {"type": "rectangle",
                   "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": 1.0}}}})
     white = torch.from_numpy(np.array(mi.render(scene, spp=16384)))[..., :3].mean(dim=(0, 1))
     # 262,144 samples: noise below 0.2 %; the sunsky file's scale has four digits.
     assert float(white.double() @ environment.LUMINANCE) == pytest.approx(0.8, rel=0.01)
-
-
-def write_picture(image, name):
-    if name.endswith(".exr"):
-        images.write_exr(tmp := type(SCENES)(name), image)
-        assert tmp.is_file()
-    else:
-        cv2.imwrite(name, np.ascontiguousarray(image.numpy()[..., ::-1]))
 
 
 def test_a_radiance_file_is_read_in_the_order_red_green_blue(tmp_path):
@@ -53,12 +48,14 @@ def test_a_radiance_file_is_read_in_the_order_red_green_blue(tmp_path):
 
 
 def test_white_luminance_of_a_half_lit_sky():
-    # Closed form: the upper hemisphere at 1 gives 1; the cap within 60 degrees of the zenith gives sin^2 60 =
-    # 3/4.
+    # Closed form: the upper hemisphere at 1 gives 1; the cap within 60 degrees of the zenith sin^2 60 = 3/4.
     assert environment.white_luminance(torch.ones(5, 4, 3)) == pytest.approx(1, rel=1e-5)
     theta = torch.linspace(0, math.pi, 1801)
     cap = (theta < math.pi / 3).double()[:, None, None].expand(-1, 2, 3)
     assert environment.white_luminance(cap) == pytest.approx(0.75, rel=2e-3)  # one row of 1800 is the edge
+    line = torch.zeros(5001, 1, 3)
+    line[777] = 5000 / math.pi  # over its height, light of 1: 2 cos sin of its angle
+    assert environment.white_luminance(line) == pytest.approx(math.sin(2 * math.pi * 777 / 5000), rel=1e-4)
     # a row's sum is no float32
     assert environment.white_luminance(torch.full((5, 4, 3), 1e38)) == pytest.approx(1e38, rel=1e-5)
 
@@ -69,11 +66,10 @@ def test_the_middle_of_an_environment_is_ahead_and_its_right_is_right(mi, tmp_pa
     image[:32, 64:, 0], image[:32, :64, 1], image[32:, :, 2] = 1.0, 1.0, 1.0
     images.write_exr(tmp_path / "sky.exr", image)
     around = environment.make_environment(mi, str(tmp_path / "sky.exr"))
-    scene = mi.load_dict({
-        "type": "scene", "integrator": {"type": "path"}, **around.emitters,
-        "sensor": {"type": "perspective", "fov": 80,
-                   "to_world": mi.ScalarTransform4f().look_at([0, 0, 0], [0, 1, 0], [0, 0, 1]),
-                   "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}}})
+    scene = mi.load_dict({"type": "scene", "integrator": {"type": "path"}, **around.emitters, "sensor": {
+        "type": "perspective", "fov": 80,
+        "to_world": mi.ScalarTransform4f().look_at([0, 0, 0], [0, 1, 0], [0, 0, 1]),
+        "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}}})
 
     def colours():
         picture = np.array(mi.render(scene, spp=16))[..., :3]
@@ -89,8 +85,8 @@ def test_the_middle_of_an_environment_is_ahead_and_its_right_is_right(mi, tmp_pa
 
 @pytest.mark.parametrize("what, change", [
     ("no file", None), ("NaN", lambda i: i.index_fill_(0, torch.tensor([2]), math.nan)),
-    ("negative", lambda i: i.sub_(1.5)),
-    ("2 x 3 pixels", lambda i: i.resize_(2, 2, 3)), ("black there", lambda i: i[:5].zero_())])
+    ("negative", lambda i: i.sub_(1.5)), ("2 x 3 pixels", lambda i: i.resize_(2, 2, 3)),
+    ("black there", lambda i: i[:5].zero_())])
 def test_environments_that_cannot_be_used_are_refused(mi, what, change, tmp_path):
     path = tmp_path / "sky.exr"
     if change:

@@ -16,7 +16,7 @@ from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.measure.gradients import fixed_cotangent
 from mitsvbrdf.render import make_renderer
 from mitsvbrdf.report.checks import fit_report
-from mitsvbrdf.report.page import figure
+from mitsvbrdf.report.page import figure, seconds
 
 
 def test_the_quick_check_is_the_error_of_the_fits_renderer(fitted):
@@ -38,6 +38,13 @@ def test_the_quick_check_is_the_error_of_the_fits_renderer(fitted):
         relative = float((found[name] - exact[name]).norm() / exact[name].norm())
         assert figures["relative_l2"] == pytest.approx(relative, rel=0.02)
     assert check["violations"] == []
+
+
+@pytest.mark.parametrize("value, said", [
+    (None, "–"), (3.21e-7, "3.2e-07"), (0.01234, "0.0123"), (12.34, "12.3"), (999.7, "1000"),
+    (-1234, "-1230"), (12345, "1.2e+04"), (float("inf"), "inf")])
+def test_figures_have_three_digits(value, said):
+    assert figure(value) == said and seconds(1234) == "1230 s"
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 import sys
 
-import flip_evaluator  # noqa: F401  (what is loaded here stays loaded after the small suites in this process)
 import pytest
 from helpers.golden_suite import TWO, Suite
 

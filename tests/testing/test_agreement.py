@@ -4,7 +4,6 @@ import math
 import re
 from pathlib import Path
 
-import flip_evaluator  # noqa: F401  (what is loaded here stays loaded after the small suites in this process)
 import pytest
 import torch
 from helpers import ANALYTIC
@@ -86,9 +85,13 @@ def test_gradients_that_are_both_zero_agree(report):
         assert_renderers_agree(flat(8), TWO, ["analytic"], reference=dark, **WIDE)
 
 
-def test_a_renderer_of_somebody_else_needs_limits():
-    with pytest.raises(ConfigError, match="limits for the renderer 'wrong'"):
-        assert_renderers_agree(flat(8), TWO, [Wrong()], image_mean=1.0)
+@pytest.mark.parametrize("renderers, limits, said", [
+    ([Wrong()], {"image_mean": 1.0}, "limits for the renderer 'wrong'"), ([], WIDE, "one renderer or more"),
+    ([Wrong()], dict.fromkeys(WIDE, math.inf), "not all infinite"),
+    (["analytic"], {"gradients": math.nan}, "from 0"), (["analytic"], {"image_mean": -1.0}, "from 0")])
+def test_an_agreement_of_nothing_is_refused(renderers, limits, said, report):
+    with pytest.raises(ConfigError, match=said):
+        assert_renderers_agree(flat(8), TWO, renderers, **limits)
 
 
 def test_a_page_that_cannot_be_written_does_not_hide_the_failure(report):

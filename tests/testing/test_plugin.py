@@ -6,7 +6,6 @@ import subprocess
 import sys
 import tomllib
 
-import flip_evaluator  # noqa: F401  (what is loaded here stays loaded after the small suites in this process)
 from helpers import ROOT
 from helpers.golden_suite import PLUGIN
 
@@ -17,11 +16,12 @@ def test_the_plugin_is_light(tmp_path):
 import sys
 
 def test_light(request):
+    assert request.config.getoption("mitsvbrdf_report") == "pages"  # pytest-xdist sends no Path
     assert request.config.pluginmanager.has_plugin("mitsvbrdf.testing.plugin")
     assert not {"torch", "mitsuba", "drjit", "cv2", "matplotlib", "numpy"} & set(sys.modules)
 """)
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
-    done = subprocess.run([sys.executable, "-m", "pytest", "-q", "-p", PLUGIN, "-p", "no:cacheprovider", "."],
+    done = subprocess.run([sys.executable, "-m", "pytest", "-p", PLUGIN, "--mitsvbrdf-report", "pages", "."],
                           cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stdout + done.stderr
 
