@@ -113,7 +113,8 @@ def parts(transfer: str) -> tuple[Transfer, Curve | None]:
     curve = Curve(*map(float, found.groups())) if found else None
     known = 0.1 <= curve.gamma <= 10 and -0.9 <= curve.shoulder <= 100 if curve else name == transfer
     if name not in RESPONSES or not known:
-        raise ConfigError(f"a transfer function of {get_args(Transfer)}", repr(transfer), "choose one")
+        raise ConfigError(f"a transfer function of {get_args(Transfer)}", repr(transfer),
+                          "choose one; a curve may follow: gamma 0.1 to 10, shoulder -0.9 to 100")
     return cast(Transfer, name), curve
 
 

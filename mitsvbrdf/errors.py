@@ -77,9 +77,7 @@ _notes: ContextVar[tuple[list[str], ...]] = ContextVar("_notes", default=())  # 
 
 
 def warn_of(fault: str, path: Path | None = None, stacklevel: int = 2) -> None:
-    """Warn of a fault with an :class:`InputWarning`, which begins with the path. The note of it begins with
-    the name alone.
-    """
+    """Warn of a fault with an :class:`InputWarning`. It begins with the path, its note with the name."""
     for notes in _notes.get():
         notes.append(f"{Path(os.path.abspath(path)).name if path else ''}{fault}")
     warnings.warn(f"{path or ''}{fault}", InputWarning, stacklevel=stacklevel + 1)

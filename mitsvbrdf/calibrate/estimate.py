@@ -27,7 +27,6 @@ from scipy.ndimage import gaussian_filter
 from scipy.optimize import least_squares
 from torch import Tensor
 
-from .. import color
 from ..capture import Capture
 from ..capture.photo import listed
 from ..capture.rig import LEAST_PHOTOS
@@ -36,6 +35,7 @@ from ..io.entry import entry
 from ..io.layout import Layout
 from ..material.maps import DIELECTRIC_F0, USUAL_ALBEDO, WHITEST
 from ..views import Views
+from .readings import mean_radiance
 
 ESTIMATE_SIDE = 32  # pixels a side that are looked at
 GAMMA = 2.2  # errors are counted in radiance^(1 / GAMMA), whatever the photos' transfer
@@ -76,8 +76,9 @@ def why_not(capture: Capture) -> str | None:
         return f"{LEAST_PHOTOS} photos or more are needed"
     if capture.views.falloff == "none":
         return "without falloff there is nothing to tell them by"
-    light, _ = _radiance(capture, ESTIMATE_SIDE)
-    if dark := [name for name, photo in zip(capture.names, light) if not photo.mean() > DARK_RADIANCE]:
+    light, known = _radiance(capture, ESTIMATE_SIDE)
+    if dark := [name for name, photo, told in zip(capture.names, light, known)
+                if not (photo * told).sum() > DARK_RADIANCE * told.sum()]:
         return f"too dark: photo {listed(dark)}"
     logs = np.log(light + DARK_RADIANCE)
     logs -= logs.mean(axis=(1, 2), keepdims=True)
@@ -248,10 +249,6 @@ class Problem:
 
 
 def _radiance(capture: Capture, side: int) -> tuple[np.ndarray, np.ndarray]:
-    """Linear grey N x R x R, float64, averaged to ``side`` at most; and where no mask gives others' mean."""
-    light = np.stack([F.adaptive_avg_pool2d(
-        color.decode(color.shown(photo).double(), capture.transfer).mean(dim=-1)[None],
-        min(side, capture.resolution))[0].numpy() for photo in capture.stored])
-    measured = capture.measured_at(light.shape[1])
-    known = np.ones_like(light) if measured is None else measured.numpy()
-    return np.where(known, light, (light * known).sum(axis=0) / known.sum(axis=0).clip(1)), known
+    """:func:`mean_radiance` at ``side`` at most, with the mean of the other photos where a mask hides it."""
+    light, known = (each.numpy() for each in mean_radiance(capture, min(side, capture.resolution)))
+    return np.where(known, light, light.sum(axis=0) / known.sum(axis=0).clip(1)), known

@@ -105,6 +105,17 @@ class Doubts(NamedTuple):
     light: bool
 
 
+def mean_radiance(capture: Capture, side: int) -> tuple[Tensor, Tensor]:
+    """Linear grey, float64: means of measured pixels, N x side x side; 0 and False where few are measured."""
+    means = []
+    for row in range(len(capture)):
+        grey = color.decode(capture.photo(row).double(), capture.transfer).mean(dim=-1)
+        told = torch.ones_like(grey) if capture.measured is None else capture.measured[row].double()
+        means.append(F.adaptive_avg_pool2d(torch.stack((grey * told, told)), side))
+    light, share = torch.stack(means, dim=1)
+    return torch.where(share > 0.5, light / share, 0.0), share > 0.5
+
+
 @entry()
 def doubts(capture: Capture) -> Doubts | None:
     """What photos say against a calibration that somebody stated, in about a tenth of a second.
@@ -114,12 +125,9 @@ def doubts(capture: Capture) -> Doubts | None:
     if capture.calibration != "given" or len(capture) < LEAST_PHOTOS:
         return None
     side = min(READING_SIDE, capture.resolution)
-    light, seen = map(torch.cat, zip(*(
-        (F.adaptive_avg_pool2d(color.decode(photo, capture.transfer).double().mean(dim=-1)[None], side),
-         F.adaptive_max_pool2d(photo.amax(dim=-1)[None], side) < CLIPPED)
-        for photo in map(capture.photo, range(len(capture))))))
-    measured = capture.measured_at(side)
-    seen = seen if measured is None else seen & measured
+    light, seen = mean_radiance(capture, side)
+    seen &= torch.cat([F.adaptive_max_pool2d(photo.amax(dim=-1)[None], side) < CLIPPED
+                       for photo in map(capture.photo, range(len(capture)))])
     views = replace(capture.views.to(torch.float64), falloff="inverse-square")
     height = float(views.light[:, 2].median()) / views.size
     sides = [None, *(views.size * 10.0**k for k in range(-3, 4)

@@ -73,7 +73,7 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
         if key not in stated:
             raise CaptureError(f"the key {key!r}", f"{path} with {sorted(stated)}", "add it")
     if not isinstance(stated["target_dir"], str):
-        raise CaptureError("target_dir as text", f"{stated['target_dir']!r} in {path}", "name their folder")
+        raise CaptureError("target_dir as text", f"{stated['target_dir']!r} in {path}", "name a folder")
     photos = _numbered(path.parent / stated["target_dir"])
     index = stated.get("idx")
     if uncalibrated:
@@ -214,14 +214,14 @@ def _numbered(folder: Path) -> dict[int, Path]:
                                f"in {folder}", "remove one of them")
         paths[int(path.stem)] = path
     if not paths:
-        raise CaptureError("photos 00.png or 00.jpg, ...", f"none in {folder}", "check target_dir")
+        raise CaptureError("photos 00.png or 00.jpg, ...", f"none in {folder}", "check the folder")
     return dict(sorted(paths.items()))
 
 
 def _views(camera: list, light: list, power: Any, size: float, falloff: Falloff, where: str) -> Views:
     """Views, after a check that the counts agree; each error names the file."""
     power = _power(power, len(camera), f"light_pow in {where}")
-    _same_count(f"light_pos in {where}", len(light), len(camera))
+    _same_count(f"light_pos in {where}", len(light), len(camera), "cameras")
     try:
         return Views.of(camera, light, power, size, falloff)
     except CaptureError as error:
@@ -240,9 +240,9 @@ def _power(value: Any, count: int, where: str) -> float | list:
     return rows
 
 
-def _same_count(what: str, rows: int, photos: int) -> None:
-    if rows != photos:
-        raise CaptureError(f"a row of {what} for each of {photos} photos", f"{rows} rows", "give one a photo")
+def _same_count(what: str, rows: int, wanted: int, of: str = "photos") -> None:
+    if rows != wanted:
+        raise CaptureError(f"a row of {what} for each of {wanted} {of}", f"{rows} rows", "give one for each")
 
 
 def _stated(value: Any, shape: Any, where: str) -> Any:

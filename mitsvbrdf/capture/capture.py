@@ -254,9 +254,9 @@ class Capture:
 
 
 def check_held(photos: int, side: int, source: Path) -> None:
-    """CaptureError: so many photos of this size, once shrunk, hold too many pixels."""
+    """ConfigError: so many photos of this size, once shrunk, hold too many pixels."""
     if (held := photos * side**2) > MOST_HELD:
-        raise CaptureError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together",
+        raise ConfigError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together",
                            f"{held / 1e6:.0f} in {source}", "read them at a lower resolution")
 
 

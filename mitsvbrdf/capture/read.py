@@ -26,7 +26,7 @@ from .lens import field_of_view
 from .photo import SUFFIXES, Photo, Unreadable, differences, files_of, photos_in, with_one_balance
 from .rectify import filled
 from .sharpness import CLEARLY, MOST_PHOTOS, carried, middle
-from .turned import SIDE, laid_alike
+from .turned import laid_alike
 
 OF_MATERIALS = "give photos; `synth` takes some of a material, `evaluate --reference` compares a fit with it"
 MOST_SQUARE = 2048  # most pixels a side that are kept of a photo without calibration
@@ -209,7 +209,7 @@ def _rectified(photos: Sequence[Photo], falloff: Falloff, folder: Path, resoluti
     note = ("the photos show everything in the same place, so they are taken for rectified; nothing is known "
             "of their views")
     notes = [*differences(photos), *others, note]
-    looked_at = resolution and max(resolution, SIDE)  # shrunk to it after that
+    looked_at = resolution and max(resolution, MOST_SQUARE)  # shrunk after that
     return _unposed(kept, falloff, folder, looked_at, notes, [photos.index(photo) for photo in kept])
 
 

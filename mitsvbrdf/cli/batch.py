@@ -70,7 +70,7 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
     base = Asked(Entry(""), config, shared, pages == "all", _split(tag), sheet, strict)
     asked = [with_own_options(entry, base) for entry in captures(names)]
     for each in asked:
-        check(each)
+        check_asked(each)
     results = ResultStore(out)
     with results.claimed() as token:
         results.clear_work()
@@ -129,7 +129,7 @@ def _from_list(asked: Asked, common: FitConfig) -> Asked:
     return replace(asked, config=replace(config, **changes))
 
 
-def check(asked: Asked) -> None:
+def check_asked(asked: Asked) -> None:
     """ConfigError: a number is out of range, or a file is missing that the settings name."""
     with told_with(asked.entry.where):
         check_numbers("", asked)

@@ -116,7 +116,7 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer,
     Returns:
         The record, ready for JSON, and for each method the pictures N x R x R x 3 in display values. An entry
         of ``methods`` describes the maps and the fit, and has ``map_rmse`` (or None) and what
-        :func:`evaluate_photos` returns. ``same_views``: all methods have the same views before flash offsets.
+        :func:`evaluate_photos` returns. ``same_views``: all have the same places before flash offsets.
 
     Raises:
         ConfigError: there is no entry, or two entries have one name.
@@ -131,7 +131,7 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer,
         fit = one.fit
         shots = all_photos.but(views=replace(all_photos.views, falloff=fit.falloff))
         shots = placed(shots, fit, transfer)
-        lit.add(str([getattr(shots.views, part).tolist() for part in ("camera", "light", "intensity")]))
+        lit.add(str([shots.views.camera.tolist(), shots.views.light.tolist()]))
         svbrdf = one.svbrdf.resized(capture.resolution)
         views = fitted_views(fit, shots)[0].pick(rows)
         images = rerender(renderer, svbrdf, views, shots.pick(capture.index))[0]

@@ -68,7 +68,7 @@ def placed(capture: Capture, fit: Fit, transfer: color.Transfer | None = None) -
         return capture
     if fit.estimated and (why := why_not(capture)):
         raise CaptureError("photos from which views can be estimated, as for this fit",
-                           f"{len(capture)} of which {why}", "give all photos of the capture")
+                           f"{len(capture)} photos: {why}", "give all photos of the capture")
     capture, _ = self_calibrated(capture)
     both = [(capture.index.index(number), row) for row, number in enumerate(fit.seen)
             if number in capture.index]

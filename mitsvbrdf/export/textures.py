@@ -67,9 +67,7 @@ class Texture:
 
 
 def stored(name: str, value: Tensor, normal: NormalConvention = "gl") -> Tensor:
-    """A map as its file holds it, in [0, 1]: colours sRGB, the rest linear, normals (n + 1) / 2, ``dx`` with
-    y turned around.
-    """
+    """A map as its file holds it, in [0, 1]: colours sRGB, else linear; normals (n + 1) / 2, ``dx``: -y."""
     if (name, normal) == ("normal", "dx"):
         value = value * torch.tensor([1.0, -1.0, 1.0], dtype=value.dtype)
     return shown_map(name, value)

@@ -10,8 +10,7 @@ from ..material.maps import CHANNELS, SVBRDF, Bsdf
 ROUGHNESS_RANGE = (0.02, 1.0)  # alpha from 4e-4, above where renderers cut it
 MAX_SLOPE = 1.5  # of the normal's x and y over z: 56 degrees along an axis
 
-# Channels of the raw maps, in this order, grouped into the paper's two streams (III.D); a normal is two
-# slopes.
+# Channels of the raw maps, in the order of the paper's two streams (III.D); a normal is two slopes.
 STREAMS: dict[str, tuple[dict[str, int], dict[str, int]]] = {
     "roughconductor": ({"normal": 2, "roughness": 1}, {"diffuse": 3, "specular": 3}),
     "principled": ({"normal": 2, "roughness": 1}, {"base_color": 3, "metallic": 1}),}

@@ -44,9 +44,7 @@ def usable_cores() -> int:
 
 
 def memory_gib() -> tuple[float, float]:
-    """Memory of this machine or container, all of it and what is available, in GiB; infinity where it cannot
-    be told.
-    """
+    """Memory of this machine or container in GiB: all, and what is available; infinity: not told."""
     total = free = float("inf")
     with contextlib.suppress(OSError, KeyError, ValueError):
         told = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())

@@ -67,9 +67,7 @@ def _ramp(resolution: int, low: float, high: float) -> Tensor:
 
 @entry()
 def random_material(bsdf: Bsdf, resolution: int = 48, seed: int = 0, slope: float = 0.15) -> SVBRDF:
-    """A hard material, float32: random colours, normals of random slopes (``slope`` is their standard
-    deviation), roughness from 0.15.
-    """
+    """A hard material, float32: random colours, slopes of deviation ``slope``, roughness from 0.15."""
     g = torch.Generator().manual_seed(seed)
     maps = {name: torch.rand(resolution, resolution, channels, generator=g)
             for name, channels in CHANNELS[bsdf].items()}

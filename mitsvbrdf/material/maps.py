@@ -151,9 +151,7 @@ class SVBRDF:
 
     @kinds_checked
     def resized(self, resolution: int) -> SVBRDF:
-        """The material at another resolution: area average down, bilinear up; unit normals.
-        ConfigError: a resolution below 1.
-        """
+        """At another resolution: area average down, bilinear up; unit normals. ConfigError: one below 1."""
         if resolution < 1:
             raise ConfigError("a resolution of 1 or more", str(resolution), "ask for e.g. 256")
         if resolution == self.resolution:

@@ -11,8 +11,7 @@ from torch import Tensor
 from ..errors import MapsError, MapsWarning
 from .maps import LOWEST_Z
 
-# Normals of published maps point into the surface at up to 0.2 % of the texels: noise of networks, empty
-# corners.
+# Normals of published maps point into the surface at up to 0.2 % of the texels: networks' noise, corners.
 FEW = 0.01  # share of texels up to which that is mended; a map with more has another convention
 RAISED = 1 / 255  # the z they are given: the lowest above 0 that an 8-bit file holds
 GREY = 0.1  # half the texels of a normal map have channels that differ by more: straight up by 0.5

@@ -94,8 +94,7 @@ def plugin(bsdf: str, needs: Needs, texture: Callable[[str], Any], stock: bool =
         return shading
     if not stock:
         return {"type": NORMAL_MAP, "normals": texture("normal"), "inner": shading}
-    # Both flags default to true and would change the image: the model has no normal flipping and no extra
-    # shadowing.
+    # Both default to true and would change the image: the model has no normal flipping or extra shadowing.
     return {"type": "normalmap", "flip_invalid_normals": False, "use_shadowing_function": False,
             "normalmap": texture("normal"), "bsdf": shading}
 

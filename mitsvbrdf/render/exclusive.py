@@ -176,9 +176,7 @@ def _gradients(ctx: Any, inputs: Sequence[Tensor], cotangent: Tensor) -> list[Te
 
 
 class MitsubaRenderer:
-    """The base of both Mitsuba renderers; see :class:`mitsvbrdf.render.Renderer`. It computes what a scene
-    needs, or ``needs``.
-    """
+    """The base of both renderers of Mitsuba. It computes what a scene needs, or ``needs``."""
 
     name: str
     replayed = False  # see Drawing

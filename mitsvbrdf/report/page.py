@@ -42,7 +42,7 @@ def _environment() -> jinja2.Environment:
 
 
 def figure(value: float | None) -> str:
-    """A number as people read it, to three digits: 3.2e-07, 0.0123, 12.3, 1230; a dash for None."""
+    """A number as people read it: 3.2e-07, 0.0123, 12.3, 1230; a dash for None."""
     if value is None:
         return "–"
     return f"{value:.1e}" if value and not 1e-3 <= abs(value) < 1e4 else f"{float(f'{value:.3g}'):g}"

@@ -13,7 +13,7 @@ from helpers.batches import asked, make_capture
 
 from mitsvbrdf.batch.asked import Asked
 from mitsvbrdf.batch.captures import Entry
-from mitsvbrdf.cli.batch import check, with_own_options
+from mitsvbrdf.cli.batch import check_asked, with_own_options
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import GanConfig, HierarchicalConfig
 from mitsvbrdf.fit.options import FitOptions
@@ -44,7 +44,7 @@ def test_a_mistake_on_a_line_is_one_plain_error(line, told, encoding, monkeypatc
     # by it tyro chooses how to draw
     monkeypatch.setattr(sys, "stdout", io.TextIOWrapper(io.BytesIO(), encoding))
     with pytest.raises(ConfigError) as error:
-        check(with_own_options(Entry("/shots/wood", tuple(line.split()), "line 3 of list.txt"), USUAL))
+        check_asked(with_own_options(Entry("/shots/wood", tuple(line.split()), "line 3 of list.txt"), USUAL))
     assert told in str(error.value)
     assert not any(drawn in str(error.value) for drawn in ("│", "╭", "╰", "─", "\n", "----"))
     assert capsys.readouterr() == ("", "")
@@ -55,9 +55,9 @@ def test_files_on_a_line_lie_beside_the_list(tmp_path):
     found = with_own_options(line, USUAL)
     assert found.config.fix == ("normal=up.png", "roughness=0.5") and found.entry.base == str(tmp_path)
     with pytest.raises(ConfigError, match="up.png.*line 3"):
-        check(found)
+        check_asked(found)
     (tmp_path / "up.png").touch()
-    check(found)
+    check_asked(found)
     common = replace(USUAL, config=HierarchicalConfig(fix=("diffuse=here.png",)))
     both = with_own_options(line, common)
     assert both.config.fix == (f"diffuse={os.path.abspath('here.png')}", *found.config.fix)

@@ -16,7 +16,7 @@ from mitsvbrdf.capture import read_capture
 from mitsvbrdf.capture.photo import Photo
 from mitsvbrdf.capture.rectify import Rectified
 from mitsvbrdf.capture.rig import Rig
-from mitsvbrdf.errors import CaptureError, InputWarning, MitsvbrdfError, noted, strict
+from mitsvbrdf.errors import ConfigError, InputWarning, MitsvbrdfError, noted, strict
 
 
 @pytest.mark.parametrize("make", [json_capture, text_capture])
@@ -49,14 +49,14 @@ def test_photos_kept_together_have_a_limit(tmp_path, monkeypatch):
     monkeypatch.setattr("mitsvbrdf.capture.capture.MOST_HELD", 3 * 8 * 8)
     json_capture(tmp_path)
     assert read_capture(tmp_path, resolution=8).resolution == 8
-    with pytest.raises(CaptureError, match=f"megapixels together, .* in {tmp_path}; read them at a lower "
+    with pytest.raises(ConfigError, match=f"megapixels together, .* in {tmp_path}; read them at a lower "
                                            "resolution"):
         read_capture(tmp_path, resolution=9)
     monkeypatch.setattr("mitsvbrdf.capture.capture.MOST_HELD", 7 * 7)
     rig = Rig(LENS, poses(), 11.52, "cm", "sheet")  # of raw photos, before one is read
     for read in (lambda: read_capture(tmp_path / "target/00.png"), lambda: Rectified.of(
             rig, [Photo(tmp_path / name, LENS.size) for name in rig.poses], 1024, lambda text, share: None)):
-        with pytest.raises(CaptureError, match="megapixels together"):
+        with pytest.raises(ConfigError, match="megapixels together"):
             read()
 
 

@@ -169,7 +169,7 @@ def test_counts_of_rows_and_photos(tmp_path):
     fails(text_capture(tmp_path / "c", images, camera_pos=text, light_pos=None), "9 photos", "8 rows",
           "camera_pos.txt")
     fails(text_capture(tmp_path / "d", photos(4)), "4 photos", "3 rows")
-    fails(json_capture(tmp_path / "e", light_pos=LIGHT[:2]), "light_pos", "3 photos", "2 rows")
+    fails(json_capture(tmp_path / "e", light_pos=LIGHT[:2]), "light_pos", "3 cameras", "2 rows")
     fails(text_capture(tmp_path / "f", light_pos="0 0 1"), "light_pos", "1 rows")
     fails(json_capture(tmp_path / "g", light_pow=[[1, 1, 1]] * 2), "light_pow", "2 rows")
 

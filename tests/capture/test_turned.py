@@ -8,7 +8,8 @@ import torch
 from helpers.stated_captures import json_capture
 
 from mitsvbrdf.capture import Capture, read_capture
-from mitsvbrdf.capture.turned import WAYS, laid, laid_alike, ways
+from mitsvbrdf.capture.photo import Photo, photos_in
+from mitsvbrdf.capture.turned import WAYS, in_place, laid, laid_alike, ways
 from mitsvbrdf.views import default_views
 
 SIDE = 128
@@ -98,6 +99,8 @@ def test_reading_turns_them_before_photos_are_picked_or_shrunk(stated, resolutio
 
 @pytest.mark.parametrize("name", ["cards-blue", "leather-blue"])
 def test_real_photos(data_folder, name):
-    found = read_capture(data_folder / "captures" / name, resolution=SIDE)
+    folder = data_folder / "captures" / name
+    assert in_place([Photo.open(path) for path in photos_in(folder / "target")])  # few features agree
+    found = read_capture(folder, resolution=SIDE)
     assert ways(found) == [0] * 9
     assert ways(put(found, _1=2, _6=4, _8=3)) == [0, 2, 0, 0, 0, 0, 4, 0, 1]

@@ -7,11 +7,11 @@ import torch
 from helpers import ANALYTIC, MITSUBA, photos_of
 from helpers.hierarchical_fits import method_of, reached
 
-from mitsvbrdf.calibrate.estimate import estimate_views
-from mitsvbrdf.calibrate.readings import Reading, doubts
+from mitsvbrdf.calibrate.estimate import estimate_views, why_not
+from mitsvbrdf.calibrate.readings import Reading, doubts, mean_radiance
 from mitsvbrdf.calibrate.refine import Priors, refine_views
 from mitsvbrdf.capture import guess_diffuse
-from mitsvbrdf.color import to_display
+from mitsvbrdf.color import decode, to_display
 from mitsvbrdf.fit import DirectConfig, FitTask, GanConfig, HierarchicalConfig, HybridConfig, fit_svbrdf
 from mitsvbrdf.fit.checkpoint import fingerprints
 from mitsvbrdf.fit.confidence import deviations
@@ -49,6 +49,8 @@ def test_errors_and_deviations(made, shots):
     off = (to_display(ANALYTIC.render(made, views), shots[0].transfer) + 0.0083).clamp(0, 1).float()
     one = unexplained(made, views, replace(shots[0], photos=off), ANALYTIC)  # one error at all usable pixels
     assert torch.allclose(one, torch.tensor(0.0083), rtol=1e-3)
+    nothing = replace(shots[0], measured=torch.zeros_like(shots[0].measured))
+    assert unexplained(made, views, nothing, ANALYTIC).tolist() == [0, 0]
     first, second = (deviations(made, views, FitTask(each, ANALYTIC, HierarchicalConfig()))[0]
                      for each in shots)
     assert first and all(torch.equal(first[name], second[name]) for name in first)
@@ -60,6 +62,18 @@ def test_views_and_doubts(made, shots):
     for one, other in (found[:2], found[2:]):
         assert torch.equal(one.camera, other.camera) and torch.equal(one.intensity, other.intensity)
     assert len({doubts(Reading("left-up").of(each)).said for each in shots}) == 1
+
+
+def test_means_are_those_of_measured_pixels():
+    """Of a leaf cut out of its photos, and where masks are strewn over them; too few tell nothing."""
+    measured = torch.rand(9, 16, 16, generator=torch.Generator().manual_seed(0)) > 0.2
+    measured[:, :8] = False
+    shots = replace(photos_of(make_material("tiles", 16)), photos=0.5 * measured[..., None].float().expand(
+        9, 16, 16, 3), measured=measured, calibration="none")
+    light, known = mean_radiance(shots, 4)
+    assert torch.equal(known, torch.tensor([False, False, True, True])[:, None].expand(9, 4, 4))
+    assert torch.allclose(light[known], decode(torch.tensor(0.5), shots.transfer).double())
+    assert why_not(shots) == "the photos are all alike"  # and not too dark
 
 
 def test_a_photo_that_is_masked_whole_tells_nothing_of_its_view(made, shots):

@@ -20,6 +20,7 @@ from ...io import Report
 from ..lens import Array, Lens, Pose, expected_lens, unsure_note
 from ..photo import Photo
 from ..rig import LEAST_PHOTOS, Rig, check_enough, one_place
+from ..turned import in_place
 from .features import (
     LEAST_INLIERS,
     REPROJECTION,
@@ -42,9 +43,6 @@ FOCAL_SHARE_ASSUMED = 0.15  # and of the focal length by FIELD_OF_VIEW
 REPEATING = 0.15  # share of a photo's features from which on its pattern counts as repeating itself
 # deviation of the focal length found, as a share, that is worth a note: hardly better than EXIF's own
 UNSURE = 0.018
-# Spread of the cameras as a share of their height: below, all photos are from one place. Nine places as in
-# docs/capture.md: 0.2; seven real captures that were rectified already: 0.003 to 0.009.
-ONE_PLACE = 0.03
 MOST_MATCHES = 4000  # in a bundle adjustment
 CHAINED = 10 * REPROJECTION  # error under the tree of homographies beyond which a pair is left out at first
 AGREEING = 0.4  # share of a photo's matches with others that must agree with its pose
@@ -69,6 +67,8 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
         CaptureError: fewer than three photos can be used together, with the reasons.
         OnePlace: all photos are from one place.
     """
+    if len(photos) >= LEAST_PHOTOS and in_place(photos):
+        raise one_place(len(photos))
     by_name = {photo.name: photo for photo in sorted(photos, key=lambda p: p.name)}
     rejected = _of_another_lens(by_name)
     features = {}
@@ -113,9 +113,6 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
         notes.append("the pattern of the material repeats itself: photos may be shifted against each other "
                      "by whole repeats, and views as wrong as that; lay a printed sheet around it "
                      "(`mitsvbrdf sheet`), or something with marks")
-    camera = np.stack([pose.position for pose in placed.values()])
-    if camera.std(axis=0).max() < ONE_PLACE * camera[:, 2].mean():
-        raise one_place(len(camera))
     return Rig(lens, placed, 1.0, "patch sides", "photos", {name: errors[name] for name in placed}, rejected,
                notes=tuple(notes))
 

@@ -148,9 +148,7 @@ class Problem:
 
 
 def exposures_of(rig: Rig, samples: Samples) -> Array:
-    """Natural logarithm of each photo's exposure over the median photo's, by medians over points and photos
-    (median polish, Tukey 1977).
-    """
+    """Natural log of each photo's exposure over the median one's, by median polish (Tukey 1977)."""
     problem, texels = Problem(rig, samples), np.arange(samples.texel.max() + 1)
     shown = np.bincount(samples.photo, minlength=len(samples.names)) > 0
     apparent, exposures = samples.log - problem.model(problem.begin), np.zeros(len(samples.names))

@@ -103,8 +103,7 @@ class Kernel:
     def _posterior(self, problem: dict, x: list, precision: list) -> list:
         import drjit as dr
 
-        # A highlight has 1e6 times the precision of a prior, and more: in float32, its rounding would drown
-        # the prior.
+        # A highlight has 1e6 times a prior's precision, and more: float32's rounding would drown the prior.
         *_, curve = self._linearised(problem, x, dr.float64_array_t(self.mi.Float))
         lower = cholesky.factor(self._matrix(curve, precision), self.size)
         found = [*cholesky.inverse_diagonal(lower, self.size), cholesky.log_determinant(lower, self.size)]

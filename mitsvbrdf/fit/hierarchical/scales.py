@@ -80,8 +80,7 @@ class Scales:
         self.guess, self.fixed, self.config, self.variant = guess, fixed, config, variant
         sampled, averaged = (make(min(COARSE, capture.resolution))
                              for make in (capture.sampled, capture.averaged))
-        # Photos no larger than COARSE are the same in every stage, even in their memory layout: sums
-        # depend on it.
+        # Photos no larger than COARSE are the same in every stage, even in memory: sums depend on it.
         full = averaged if averaged.resolution == capture.resolution else capture
         self.captures = {Stage.ALONE: sampled, Stage.MULTI_START: sampled, Stage.TOGETHER: averaged,
                          Stage.FINE: full}

@@ -201,8 +201,7 @@ def shown_if_weak(scale: Scale, photos: Observations, prior: TexelPrior, x: Tens
     for width in WIDTHS:
         solver.fixed.update(_lobe(WEAK, width, side))
         _, other = least_errors(solver, photos, prior, [x])
-        # -2 log of the ratio of the likelihoods, each at its texel's own noise; photos are no more exact than
-        # 8 bits.
+        # -2 log of the likelihoods' ratio, each at its texel's own noise; 8 bits are the most exact photos
         unlikelier = free * ((other + step) / (left + step)).log()
         *parts, whole = (sums for (sums,) in blocks(unlikelier))
         if not float(whole) >= 2 * math.log(1 / RARE) or any((sums < -2 * math.log(count / RARE)).any()

@@ -35,7 +35,7 @@ ALONE_ROUNDS = 14  # of FINE, for exact photos whose texels share no lobes
 # share of the run at which a stage ends at the latest
 DEADLINE = {Stage.ALONE: 0.15, Stage.MULTI_START: 0.4, Stage.TOGETHER: 0.5}
 
-# Structure that a free fit leaves at 64 px (:func:`unexplained`): six known materials 0.0003 to 0.0009
+# Structure that a free fit leaves when coarse (:func:`unexplained`): six known materials 0.0003 to 0.0009
 # without noise and up to 0.004 with noise of 0.003 in linear radiance, twelve real captures 0.009 to 0.053.
 EXACT = 0.006
 
@@ -43,7 +43,7 @@ EXACT = 0.006
 NOISE = 0.03
 LEAST_NOISE = 0.004  # of any photo: one step of 8 bits
 UNTOLD = 1.5  # assumed noise, in multiples of the RMSE that a fit with so many unknowns leaves
-# of the noise, a round: it starts at NOISE, so that no texel is caught early by a wrong highlight
+# Factor of the noise, a round. It starts at NOISE, so that no texel is caught early by a wrong highlight.
 EASED = 0.75
 
 
@@ -190,10 +190,10 @@ def unexplained(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Render
     """Structure and RMSE of the errors in display values of usable pixels: two numbers.
 
     Structure is the root of the mean product of neighbouring errors: sensor noise has none, a wrong model
-    has. The material found has R x R texels, and so have the photos. NaN: no pixels are usable neighbours.
+    has. The material found has R x R texels, and so have the photos. 0: no pixels are usable neighbours.
     """
     with torch.no_grad():
         shown = color.to_display(renderer.render(svbrdf, views), capture.transfer)
     error = torch.where(capture.usable, shown - capture.photos, torch.nan)
     alike = (error[:, 1:] * error[:, :-1]).nanmean() + (error[:, :, 1:] * error[:, :, :-1]).nanmean()
-    return torch.stack(((alike / 2).clamp_min(0), error.square().nanmean())).sqrt()
+    return torch.stack(((alike / 2).clamp_min(0), error.square().nanmean())).sqrt().nan_to_num()

@@ -20,8 +20,7 @@ GRID = nine_view_grid()
 # camera and light are 20 degrees from the half vector
 APART = Views.of(GRID.camera, GRID.camera + torch.tensor([1.5, -0.3, 0.1]), GRID.intensity)
 
-# Known errors of Mitsuba's plugins beyond the rounding of a normal: the largest relative L2 error, and its
-# cause.
+# Known errors of Mitsuba's plugins beyond the rounding of a normal: largest relative L2, and cause.
 Known = Mapping[str, tuple[float, str]]
 
 
