@@ -3,9 +3,7 @@
 import contextlib
 import ctypes
 import functools
-import hashlib
 import os
-import pickle
 import signal
 
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # of a job in the background; the tests press Ctrl-C
@@ -117,20 +115,3 @@ def painted_anew(monkeypatch):
 
     for name, paint in MATERIALS.items():
         monkeypatch.setitem(MATERIALS, name, paint.__wrapped__)
-
-
-@pytest.fixture(scope="session", autouse=True)
-def photos_guessed_once() -> None:
-    """A guess of photos that were fitted before is the one made then: a third of a second of a fit."""
-    from mitsvbrdf.fit import task
-
-    guess, made = task.guess_diffuse, {}
-
-    def guessed(capture, method):
-        told = pickle.dumps((method, capture.transfer, capture.photos.detach(), capture.views))
-        key = hashlib.sha256(told).digest()
-        if key not in made:
-            made[key] = guess(capture, method)
-        return made[key].clone()
-
-    task.guess_diffuse = guessed

@@ -69,8 +69,7 @@ def test_links_and_pipes_where_a_result_goes_are_somebody_elses(out, outside, na
     assert (out / name).is_symlink() or (out / name).is_fifo()
 
 
-@pytest.mark.parametrize("manifest",
-                         [["../outside/a.exr"], ["maps/a.exr"], ["maps/../../outside/a.exr"],
+@pytest.mark.parametrize("manifest", [["../outside/a.exr"], ["maps/a.exr"], ["maps/../../outside/a.exr"],
                           ["{outside}/a.exr"], ["..", ".", "", "a\0b", "\ud800"],
                           ["linked/a.exr", 1, None, ["a"]], {"maps/a.exr": 1}, "maps/a.exr", 5, {"files": 5},
                           {"files": {"maps/a.exr": 1}, "serial": "x"},

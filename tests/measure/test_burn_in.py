@@ -32,8 +32,7 @@ def test_angle_is_that_of_the_nearest_half_vector():
         assert float(angle[row, column]) == pytest.approx(wanted, rel=1e-12)
 
 
-@pytest.mark.parametrize("shape, wanted", [
-    (lambda x: 3 - 2 * x + x**3, 1.0),
+@pytest.mark.parametrize("shape, wanted", [(lambda x: 3 - 2 * x + x**3, 1.0),
     # Legendre series of |x|: (5/2) (1/4)^2 of the variance 1/6 are in P2, none in P1 and P3
     (lambda x: x.abs(), 15 / 16),
     # of x^4 what P4, 8/35 of it, leaves out; any scale
