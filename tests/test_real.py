@@ -53,7 +53,7 @@ def test_photos_left_out_are_predicted(fitted, data_folder, tmp_path, request):
 
 def test_known_materials_come_back(data_folder):
     # The bars are those of MaterialGAN, trained on a large data set, on materials of the same kind (paper,
-    # tables 1 and 2, and peers.json). Measured: see README.
+    # tables 1 and 2, and peers.json), at 256 px. Measured there: see README.
     views, errors = read_capture(data_folder / "captures/cards-blue").views, []
     for folder in sorted((data_folder / "materials").iterdir()):
         capture = photograph(load_maps(folder).resized(128), views, make_renderer("mitsuba"))

@@ -22,7 +22,7 @@ pytestmark = [pytest.mark.slow,
 
 @pytest.mark.parametrize("bsdf", CHANNELS)
 @pytest.mark.parametrize("names", GROUPS, ids=lambda names: names[0] if len(names) == 1 else "in turn")
-def test_nothing_grows(names, bsdf, capsys):  # with_preview does what the two others do
+def test_nothing_grows(names, bsdf, capsys):  # each step draws with gradients, and without
     found = soak([make_renderer(name) for name in names], bsdf, soaking.with_preview, STEPS)
     first, last = found["milliseconds"]
     with capsys.disabled():
