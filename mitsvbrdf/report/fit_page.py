@@ -95,8 +95,8 @@ def write_report(fit: Fit | str | Path, quick: bool = False, held_out: Capture |
 
 def check_photos(found: Fit, capture: Capture) -> None:
     """Raise CaptureError unless calibration, number, size and errors of the photos are those of the fit."""
-    way_out = "give the capture that was fitted"
-    if capture.calibrated != found.record["capture"]["calibrated"]:
+    told, way_out = found.record["capture"], "give the capture that was fitted"
+    if capture.calibrated != told["calibrated"]:
         wanted, got = ("without", "one") if capture.calibrated else ("with", "none")
         raise CaptureError(f"a capture {wanted} calibration, as that of this fit",
                            f"{capture.source}, which has {got}", way_out)
@@ -104,8 +104,8 @@ def check_photos(found: Fit, capture: Capture) -> None:
         raise CaptureError(f"{len(found.names)} photos of {side} px",
                            f"{len(capture)} of {capture.resolution} px in {capture.source}", way_out)
     for row, (name, stated) in enumerate(zip(found.names, found.per_photo)):
-        error = photo_rmse(found.rerendering(row)[None], capture.stored[row:row + 1],
-                           found.record["capture"]["transfer"])[0]
+        one = capture.pick([capture.index[row]])
+        error = photo_rmse(found.rerendering(row)[None], one.stored, told["transfer"], one.measured)[0]
         if abs(error - stated) > SAME_PHOTO:
             raise CaptureError("the photos of this fit", f"{capture.source}, whose photo {name} is another "
                                f"(error {error:.4f} instead of {stated:.4f})", way_out)

@@ -22,6 +22,7 @@ from mitsvbrdf.fit.hierarchical import Hierarchical
 from mitsvbrdf.fit.hierarchical.stages import Stage, unexplained
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.rerender import rerender
+from mitsvbrdf.report.fit_page import check_photos
 
 SIDE = 16
 
@@ -108,8 +109,9 @@ def test_rounds_of_the_fit(shots):
     DirectConfig(iterations=3), HybridConfig(iterations=3, width=8, adversarial=0.1),
     GanConfig(iterations=2, width=8)], ids=lambda config: type(config).__name__)
 def test_maps_of_the_other_methods(shots, config):
-    first, second, unmasked = (fit_svbrdf(each, ANALYTIC, config).svbrdf
-                               for each in (*shots, replace(shots[0], measured=None)))
+    found = [fit_svbrdf(each, ANALYTIC, config) for each in (*shots, replace(shots[0], measured=None))]
+    check_photos(found[0], shots[1])
+    first, second, unmasked = (each.svbrdf for each in found)
     assert all(torch.equal(first[name], second[name]) for name in first.maps)
     assert not any(torch.equal(first[name], unmasked[name]) for name in ("diffuse", "roughness"))
 
