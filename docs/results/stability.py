@@ -165,5 +165,6 @@ if __name__ == "__main__":
         subprocess.run([sys.executable, "-m", "mitsvbrdf", "stability", "--json", str(file), "--overwrite"],
                        check=True)
     content = json.loads(file.read_text())
+    file.write_text(json.dumps(content, separators=(",", ":")) + "\n")
     (HERE / "stability.md").write_text(page(content))
     (HERE / "stability.svg").write_bytes(svg(figure(content)))
