@@ -54,7 +54,7 @@ def nodes(pixels: int, count: int, seed: int) -> Tensor:
 class OnePhoto(Method[HierarchicalConfig]):
     """Descends to the likeliest look classes: from each start, from the likeliest ones, from the best one.
 
-    A view that is not stated, or is to be refined, has its place and light power among the unknowns.
+    A view that is not stated has its place and light power among the unknowns, one to be refined its place.
     """
 
     measured_every = 10**6  # steps: texels are found once, at the end
@@ -62,8 +62,8 @@ class OnePhoto(Method[HierarchicalConfig]):
 
     def __init__(self, task: FitTask[HierarchicalConfig]) -> None:
         super().__init__(task)
-        self.held = task.config.holds_views or task.capture.calibrated and not task.config.refines_views
-        self.pixels = Pixels.of(task.capture)
+        self.pixels, told = Pixels.of(task.capture), task.capture.calibrated
+        self.held = task.config.holds_views or told and not task.config.refines_views, told
         self.begun = robust_start(task.capture, task.guess, "roughconductor", task.fixed)
         self.tried = self._starts()
         self.costs, self.done_steps = torch.full((len(self.tried),), WORST), 0
@@ -130,7 +130,7 @@ class OnePhoto(Method[HierarchicalConfig]):
         for k in range(first, first + count):
             random = torch.Generator().manual_seed(self.config.seed * 1000 + k)
             some = self.pixels.pick(torch.randint(total, (pixels,), generator=random))
-            classes = LookClasses(self.numbers, self.views, self.held)
+            classes = LookClasses(self.numbers, self.views, *self.held)
             found = classes.posterior(some, nodes(pixels, many, k))
             likely = found.likely.flatten(1).logsumexp(dim=1).clamp_min(UNLIKELIEST).mean()
             uneven, chance = classes.uneven(found, some.at)
@@ -149,7 +149,7 @@ class OnePhoto(Method[HierarchicalConfig]):
         if self.last < -AGAIN:
             return self.begun, self.views
         numbers = self.numbers.detach() if self.last >= 0 else self.tried[0]
-        classes, parts = LookClasses(numbers, self.views, self.held), []
+        classes, parts = LookClasses(numbers, self.views, *self.held), []
         with torch.no_grad():
             for some in torch.arange(len(self.pixels.at)).split(CHUNK):
                 found = classes.posterior(self.pixels.pick(some), nodes(len(some), MOST, self.config.seed))

@@ -110,7 +110,7 @@ def test_asked_for_or_not_the_method_follows(tmp_path):
     assert not FitTask(photo, renderer, HierarchicalConfig(stationary=False)).repeats.stationary
     for asked in (None, False, True):
         task = FitTask(photo, renderer, HierarchicalConfig(calibrate=asked))
-        assert make_method(task).held == (asked is not True)
+        assert make_method(task).held == (asked is not True, True)  # the light power stays as stated
     for config in (HierarchicalConfig(fix=("roughness=0.5",)), HierarchicalConfig(bsdf="principled")):
         assert FitTask(photo, renderer, config).repeats is None
         with pytest.raises(ConfigError, match="--stationary"):

@@ -100,7 +100,7 @@ def test_numbers_that_are_no_variance_or_share(bad):
     one = torch.ones(4, 4, 3)
     spoilt = torch.where(torch.arange(48).reshape(4, 4, 3) == 7, bad, one)
     for given in ({"variance_or_passes": spoilt}, {"reference_variance": bad},
-                  {"reference_variance": spoilt}, {"outliers": bad}):
+                  {"reference_variance": spoilt}, {"outliers": bad}, {"outliers": 1.0}):
         with pytest.raises((MapsError, ConfigError), match="finite and not below 0|outliers from 0"):
             z_test(one, reference=one, **{"variance_or_passes": one} | given)
 
