@@ -221,7 +221,7 @@ def write_channels(path: Path, channels: Mapping[str, np.ndarray]) -> None:
         try:
             OpenEXR.File(header, planes).write(str(temporary))
         except RuntimeError as reason:  # a full disk, say; then plain bytes raise the OSError with its number
-            temporary.write_bytes(b"".join(map(bytes, planes.values())))
+            temporary.write_bytes(b"".join(map(bytes, channels.values())))
             raise OSError(str(reason)) from None
 
 

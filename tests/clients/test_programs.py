@@ -21,7 +21,7 @@ def material(request, tmp_path_factory):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("client", CLIENTS)
-def test_clients_show_the_material(client, material):
+def test_clients_show_the_material(client, material, two_threads):
     folder, made = material
     found = compared(CLIENTS[client](folder, made.resolution), truth(made))
     rmse, means = LIMITED.get(client, (RMSE, MEANS))

@@ -30,17 +30,13 @@ def test_a_full_disk_has_its_number_where_openexr_meets_it(tmp_path, monkeypatch
 
     from mitsvbrdf.errors import OutputError
 
-    class Full:
-        def __init__(self, *_):
-            pass
-
-        def write(self, name):
-            raise RuntimeError("cannot write")
+    def fails(*_):
+        raise RuntimeError("cannot write")
 
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(OpenEXR, "File", Full)
+    monkeypatch.setattr(OpenEXR.File, "write", fails)
     with pytest.raises(OutputError, match="cannot write"):
         images.write_exr(tmp_path / "x.exr", torch.zeros(2, 2, 3))
     monkeypatch.setattr(images.Path, "write_bytes", full)
