@@ -254,6 +254,7 @@ def test_names(shots, tmp_path, monkeypatch):
     made_fit(tmp_path / "two", shots[1], seen=(0, 1, 2))
     stated = json.loads((tmp_path / "two/fit.json").read_text())
     stated["views"]["falloff"], stated["capture"]["transfer"] = "none", "srgb"
+    stated["calibration"] = {"power_told": 1.2}  # for which its maps are darker
     (tmp_path / "two/fit.json").write_text(json.dumps(stated))
     assert cli.main(["compare", "x=y", "a/maps", "b", "mine=b", "one", "two", "-o", "p.html", "--json", "e",
                      "--views", "1", "--renderer", "analytic", "--capture", str(shots[0].source)]) == 0
