@@ -58,9 +58,11 @@ def page(record: dict) -> str:
 
 {as_markdown(ways(record["ways"]["rows"]))}
 
-The default fit of {sum(r["captures"] for r in record["ways"]["rows"] if r["way"] == LOOP)} captures at \
-{record["ways"]["resolution"]} px on two hardware threads, pages and start-up included, version \
-{record["ways"]["version"]}. Groups of captures were fitted in each way in turn.
+Each way fits {sum(r["captures"] for r in record["ways"]["rows"] if r["way"] == LOOP)} captures by the \
+default method at {record["ways"]["resolution"]} px on two hardware threads (version \
+{record["ways"]["version"]}). Pages and start-up count. The captures form three groups; the ways fitted each \
+group in turn. The second column is the speed over that of the loop: the median, and each group. RMSE is \
+that of the re-rendered photos.
 
 ![Captures an hour](batch.svg)
 
@@ -69,9 +71,10 @@ The default fit of {sum(r["captures"] for r in record["ways"]["rows"] if r["way"
 {as_markdown(deaths(chaos))}
 
 {chaos["captures"]:,} made captures of {chaos["side"]} px, two workers. SIGKILL ended {killed["worker"]} \
-workers and, {killed["command"]} times, the command, which was typed again each time. \
-{len(chaos["undisturbed"]["different maps"])} of {chaos["undisturbed"]["maps"]:,} maps differ from those of \
-the undisturbed library.
+workers and, {killed["command"]} times, the command; each time the same command was started again. *Folders* \
+are results, *identities* different ones, *torn* those with a missing, damaged or foreign file, *attempts* \
+the fits begun. {len(chaos["undisturbed"]["different maps"])} of {chaos["undisturbed"]["maps"]:,} maps \
+differ from those of the undisturbed library.
 """
 
 
