@@ -131,47 +131,48 @@ def page(record: dict) -> str:
     figures = "{:.4f}".format
     return f"""# Error against run time
 
-Fits at 256 px through `mitsuba` on {record['machine']}, version {versions}. `hierarchical` is \
-the default method; `{PEERS}` is the per-texel Adam of svbrdf-diff-renderer. No fit sees held-out photos. \
-They are predicted with the stated views, and the flash offset of fits that find one. *Published*: errors of \
-published predictions. Photos seen are rendered with the views that the fit ended with; `{PEERS}` holds the \
-stated ones. Seconds are of the loop.
+Fits at 256 px through `mitsuba` on {record['machine']}, version {versions}. `hierarchical` is the default \
+method; `{PEERS}` is the per-texel Adam of svbrdf-diff-renderer. Our fits do not see held-out photos. These \
+photos are rendered with the stated views, and with the flash offset of fits that find one. Photos seen are \
+rendered with the views that the fit ended with; `{PEERS}` keeps the stated ones. *Published* rows are \
+errors of published predictions. Budgets and seconds count the loop alone.
 
 ![Error against seconds](benchmark.svg)
 
 {markdown(held, published)}
-Where MaterialGAN saw all nine photos, no photo is held out. `gan` begins at the maps of the \
-default, and changes a map only if patches of the photos seen, held out in turn, are predicted better. \
-`direct` and the baseline draw no random numbers; `hybrid` has one seed. What was not run was left out for \
+In the row *which saw them*, MaterialGAN was fitted to all nine photos, so nothing is held out from it. \
+`gan` begins at the maps of the default. It changes a map only if that predicts held-out patches of the \
+photos seen better. `direct` and the baseline draw no random numbers; `hybrid` has one seed. *Not run*: for \
 lack of machine time.
 
 ## Each capture, held-out photos 7 and 8
 
 {as_markdown(by_capture.map(figures))}
 
-From seed 0 the default is the lowest on {beaten(by_capture)} captures. Its fits of captures settled after \
-{min(took["capture"]):.0f} to {max(took["capture"]):.0f} s, those of known materials after \
-{min(took["material"]):.0f} to {max(took["material"]):.0f} s: {settled} of {len(whole)}, each with a budget \
-of {LONGEST} s, which a last round may exceed.
+The default's errors are those of {LONGEST} s and seed 0. It has the lowest error on {beaten(by_capture)} \
+captures. With this budget and all seeds, its fits of captures settled after {min(took["capture"]):.0f} to \
+{max(took["capture"]):.0f} s, those of known materials after {min(took["material"]):.0f} to \
+{max(took["material"]):.0f} s: {settled} of {len(whole)}. A last round may exceed the budget.
 
 {markdown(seen, published)}
 {markdown(all_held, published)}
-Held out over seen, of each capture by the default: {min(ratios):.1f} to {max(ratios):.1f}, median \
-{statistics.median(ratios):.1f}.
+The default's error of held-out photos over that of photos seen is {min(ratios):.1f} to {max(ratios):.1f} by \
+capture, median {statistics.median(ratios):.1f} ({LONGEST} s).
 
 {markdown(all_seen, published)}
 ## Each known material
 
 {as_markdown(materials.map(figures))}
 
-RMSE of maps encoded to 0 to 1, from nine exact 8-bit photos with the views of cards-blue, by the default. \
-`brick-uneven-stones` and `10_brick_uneven_stones` are the same maps.
+RMSE of the default's maps encoded to 0 to 1 ({LONGEST} s), from nine exact 8-bit photos in the views of \
+cards-blue. `brick-uneven-stones` and `10_brick_uneven_stones` are the same maps.
 
 ## Seconds on the wall / of the loop, captures without photos 7 and 8
 
 {as_markdown(seconds(held))}
 
-The process is warm. Before the loop comes the guessed diffuse map, after it the uncertainty of the maps.
+Columns are budgets. The wall time adds the guessed diffuse map before the loop and the uncertainty of the \
+maps after it. The process is warm.
 
 ## Seconds and memory by size
 
@@ -179,8 +180,9 @@ The process is warm. Before the loop comes the guessed diffuse map, after it the
 
 ![Seconds and memory against texels](benchmark-size.svg)
 
-Whole commands, one after the other, on nine exact 8-bit photos of made inlaid wood (two slower cores). \
-The loop ends by itself, or after 120 s (2048 px: 240 s, 4096 px: 480 s) and the step that runs then.
+Whole commands, one after the other, on nine exact 8-bit photos of made inlaid wood (two slower cores). The \
+loop ends by itself (*settled*), or with the step that runs when the *budget* is over: 120 s (2048 px: 240 \
+s, 4096 px: 480 s).
 
 ## Renderers
 
@@ -189,8 +191,9 @@ float64.
 
 {as_markdown(renderers(record["renderers"]))}
 
-Made inlaid wood, nine views, flash 0.1 patch sides beside the lens, texels of roughness 0.1 and more; \
-Intel Xeon, all renderers in turn. `mitsuba` draws texel centres and is the fastest at every size.
+Made inlaid wood, nine views, flash 0.1 patch sides beside the lens. Errors are of texels of roughness 0.1 \
+and more. The renderers took turns on an Intel Xeon. `mitsuba` draws texel centres and is the fastest at \
+every size.
 """
 
 
