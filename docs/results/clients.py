@@ -47,11 +47,11 @@ def page(record: dict) -> str:
 
 {as_markdown(table(record, rmse))}
 
-Blender 4.5 (Cycles), three.js r187 and model-viewer 4.4 in headless Chromium, Mitsuba 3.9, each through \
-its own importer at 256 px, one point light, against the analytic renderer. `gilt plates` and `inlay` are \
-made (metals, coloured dielectrics, F0 below 0.04); the others are fits of captures. \
-The exports are those of version {record["version"]}. Three clients cannot \
-show all of a material:
+Blender 4.5 (Cycles), Mitsuba 3.9, and three.js r187 and model-viewer 4.4 in headless Chromium load the \
+export by their own importers, and draw it at 256 px under one point light. The reference is our analytic \
+renderer. `gilt plates` and `inlay` are made (metals, coloured dielectrics, F0 below 0.04); the others are \
+fits of captures. The exports are those of version {record["version"]}. Three clients cannot show all of a \
+material:
 
 {limits}
 
@@ -61,9 +61,12 @@ show all of a material:
 
 {as_markdown(table(record, means))}
 
+The picture's mean over that of the reference, by light as above. 1.00 is right.
+
 ## Pictures
 
-From above: our renderer, then the clients in the order of the table; from left to right: {", ".join(LIGHTS)}.
+From top to bottom: our renderer, then the clients in the order of the table. From left to right, the light: \
+{", ".join(LIGHTS)}.
 
 {pictures}
 """
