@@ -62,30 +62,33 @@ def page(record: dict) -> str:
 
 ![Stated deviation against true error](coverage.svg)
 
-Across: stated deviation. Up: the error below which 68 % of the texels with this deviation stay. On the grey \
-line both are equal. Below it a fit is better than it says; above it, worse.
+Horizontal: stated deviation. Vertical: the error that 68 % of the values with this deviation do not exceed. \
+On the grey line both are equal. Below it a fit is better than it says; above it, worse.
 
 ## True values within one deviation
 
 {table}
 
-{len(record["cases"])} fits of the default method (version {record["versions"]["mitsvbrdf"]}) to \
-made and known materials, nine 8-bit photos, sensor \
-noise of 0, 0.003 and 0.01 (linear). 68 % would be right. F0 *own* is the material's, else it is the same \
-everywhere. *Own photos*: by what the texel's photos leave open. *With look-alikes*: the error to expect. A \
-highlight is *seen* where a photo shows a quarter of its peak. If look-alikes gave the answer, a texel's \
-own photos overstate its error.
+The table gives the share of true values within one stated deviation of the fit; 68 % would be right. All \
+{len(record["cases"])} fits are of the default method (version {record["versions"]["mitsvbrdf"]}), to nine \
+simulated 8-bit photos of made and known materials, with sensor noise of 0, 0.003 and 0.01 (linear). *Own \
+photos*: the deviation that a texel's own photos leave. It is too wide where look-alikes gave the answer. \
+*With look-alikes*: the deviation that counts them, and so the error to expect. A *metal* has F0 above \
+{METAL:g}. A highlight is *seen* where a photo shows a quarter of its peak or more.
 
 ## Determined, and of these off by more than three deviations
 
 {sure}
 
-Shares by the texel's own photos, as `fit` counts. On the whole, deviations of specular and roughness are \
-too wide, most where no photo shows the highlight: such texels follow a lobe that others tell.
+First the share of texels with a deviation below {DETERMINED:g} by their own photos (*determined*, as `fit` \
+counts), then the share of these that are off by more than three deviations. On the whole, deviations of \
+specular and roughness are too wide, most where no photo shows the highlight: there other texels tell the \
+lobe.
 
 ## Within one deviation, with look-alikes, by case
 
-Bold: below {NARROW:.0%}. The stated deviation is too narrow there.
+Each row is one fit. *F0 own* is the material's; a number replaces it everywhere. Bold: below {NARROW:.0%}; \
+the stated deviation is too narrow there.
 
 {as_markdown(each)}
 """
