@@ -217,14 +217,17 @@ def page(record: dict) -> str:
 
 {as_markdown(known(record))}
 
-RMSE of maps encoded to 0 to 1, mean of six materials, median of three seeds (`gan` at 300 s, \
-`hierarchical`: one), 128 px where nothing else is said. `gan` is `--start guess` where *from solved \
-maps* is not said. The \
-adversarial loss with feature matching improves roughness and normals, hardly diffuse, and makes specular \
-worse. Feature matching takes the mean after 30 s from \
-{matched[0]:.4f} to {matched[1]:.4f} (two seeds). Versions of the program: {versions(record)}.
+RMSE of maps encoded to 0 to 1 and of pictures under new light: mean of six materials, median of three seeds \
+(`gan` at 300 s, `hierarchical`: one). Maps have 128 px where nothing else is said. On this page `gan` is \
+`--start guess` where *from solved maps* is not said. The adversarial loss with feature matching improves \
+roughness and normals, hardly diffuse, and makes specular worse. After 30 s, feature matching takes the mean \
+error from {matched[0]:.4f} to {matched[1]:.4f} (two seeds). Each measurement in gan.json has its version of \
+the program: {versions(record)}.
 
 {as_markdown(game(record))}
+
+Each material after 40 s with the adversarial loss and feature matching, and without both: mean RMSE of the \
+maps, and RMSE under new light; median of three seeds.
 
 ![With and without the adversarial loss](gan.svg)
 
@@ -232,21 +235,26 @@ worse. Feature matching takes the mean after 30 s from \
 
 {as_markdown(solved(record))}
 
-Mean of {len(fits)} known materials, 64 px, 200 steps, one seed. The game's change was kept in \
-{changed_maps(SOLVED)} of {4 * len(fits)} maps: held-out photos \
-are predicted no better with it. At 256 px and 300 s it was kept in {changed_maps(LARGE)} of {4 * len(DEEP)} \
-maps of the three of deepest relief ({", ".join(DEEP)}).
+Mean RMSE of {len(fits)} known materials, 64 px, 200 steps, one seed. *Furthest apart*: the largest \
+difference of any material. The change of the adversarial game was kept in {changed_maps(SOLVED)} of \
+{4 * len(fits)} maps: it predicts held-out patches of the photos no better. At 256 px and 300 s it was kept \
+in {changed_maps(LARGE)} of {4 * len(DEEP)} maps of the three materials of deepest relief \
+({", ".join(DEEP)}).
 
 ## Maps that others published
 
 {as_markdown(published(record))}
 
+RMSE of maps of two known materials: those that others published, and those of `gan` and `hierarchical` in \
+the first table.
+
 ## One photo, beside the ancestors
 
 {as_markdown(one_photo(record))}
 
-256 px, stated view 1.2 sides above; the published maps were recovered from the publishers' own photo. Two \
-of ten materials are missing: their photos fail the test of repetition.
+Mean RMSE of maps from one photo each (256 px, stated view, 1.2 patch sides above). The published maps were \
+recovered from the publishers' own photos. Two of ten materials are missing: their photos fail the test of \
+repetition.
 
 | one flash photo of a stationary material | what it does | here |
 | --- | --- | --- |
@@ -259,55 +267,57 @@ game on crops in `--detail gan` |
 
 {as_markdown(one_photo_detail(record))}
 
-Maps of the looks → with `fit --detail gan` (128 px, median of three seeds), whose discriminator compares \
-crops of the photo with renderings under the same flash at other places. *Patches* is the sliced \
-Wasserstein distance of patches of pictures under three new lights to those of the true maps. Detail is for \
-pictures; the maps stay those of the looks.
+Errors of the default's maps from one photo (looks) → of the maps of `fit --detail gan` (128 px, median of \
+three seeds). Pictures of both under three new lights are compared with those of the true maps: *patches* by \
+the sliced Wasserstein distance of their patches, *new light* by RMSE. *Maps* is the mean map RMSE. The \
+discriminator compares crops of the photo with renderings under the same flash at other places. Detail is \
+for pictures; the maps of a fit stay those of the looks.
 
 {as_markdown(two_stages(record))}
 
-64 px, mean of {played}. The paper's first stage (Wen) was trained once, 2,000 iterations on one photo of \
-{stages[0]["trained_on"]}; its second stage, or the game without a first one, had 400 iterations a photo \
-(width 16, learning rate 0.001, light that falls off). The trained start is the better one for diffuse and \
-specular maps; both stay far behind looks.
+RMSE of maps from one photo, 64 px, mean of {played}. *Trained start*: the paper's first stage (Wen) was \
+trained once, 2,000 iterations on one photo of {stages[0]["trained_on"]}. The second stage, or the game \
+*untrained*, then had 400 iterations a photo (width 16, learning rate 0.001, light that falls off). The \
+trained start gives better diffuse and specular maps; both stay far behind looks.
 
 ## Captures
 
 {as_markdown(captures(record))}
 
-Median of 18 captures; photos 4 and 7 are held out. From solved maps (200 steps, one seed) the game's change \
-was kept in {len(changed)}; photos seen are rendered with the stated views there, else with those of the fit.
+Median RMSE of 18 captures; photos 4 and 7 are held out. From solved maps (200 steps, one seed) the game's \
+change was kept in {len(changed)} capture. In the last two rows photos seen are rendered with the stated \
+views, in the others with those of the fit.
 
 ## The paper's tables and its schedule
 
 {as_markdown(printed(record))}
 
-The paper's sets 4 and 5 are not published: its rows only tell the order of magnitude. `gan-two-stage` runs \
-the paper's 25,000 iterations at 64 px and width 16, and reaches that order. On {bamboo["name"]} (32 px) the \
-RMSE of photos seen is {bamboo["errors"]["seen"]:.4f}, of those held out \
-{bamboo["errors"]["held_out"]:.4f}.
+RMSE of maps. The paper's sets 4 and 5 are not published, so the printed rows tell only the order of \
+magnitude. `gan-two-stage` runs the paper's 25,000 iterations at 64 px and width 16, and reaches that order. \
+On the capture {bamboo["name"]} (32 px) its RMSE of photos seen is {bamboo["errors"]["seen"]:.4f}, of \
+held-out ones {bamboo["errors"]["held_out"]:.4f}.
 
 ## Each ingredient
 
 {as_markdown(ingredients(record, LADDER))}
 
-Mean of metal-plating and fake-022, 128 px, 45 s, one seed. *The five*: the discriminator saw the level of \
-pictures and the half vector, renderings were clipped only where photos are, step sizes fell, and the \
-discriminator had a head start. They are removed since; the other figures \
-of this page are with them. Over three materials and two seeds the mean was \
-{five[0]} with and {five[1]} without them (new light {five[2]} and {five[3]}). Growing pays at full size: \
-metal-plating at 256 px after 120 s {grown[0]} with, {grown[1]} without it.
+Mean of metal-plating and fake-022, 128 px, 45 s, one seed. *The five* have been removed since: the \
+discriminator saw the level of pictures; it saw the half vector; it had a head start; renderings were \
+clipped only where photos are; step sizes fell. The other figures of `gan` from versions before 2.0.0 are \
+with them. Over three materials and two seeds the mean was {five[0]} with and {five[1]} without them (new \
+light {five[2]} and {five[3]}). Growing pays at full size: after 120 s at 256 px, metal-plating has a mean \
+of {grown[0]} with it, {grown[1]} without.
 
 {as_markdown(ingredients(record, "ingredients"))}
 
-The same after 30 s, earlier; `full` is without feature matching.
+The same two materials after 30 s, measured with an earlier version. Here `full` has no feature matching.
 
 ## Gradients of the generator's weights
 
 {as_markdown(gradients(record))}
 
-Relative L2 against the float64 twin, median (largest) over five states, `inlay` at 64 px. The last two \
-columns are the twin with one thing wrong.
+Relative L2 error against gradients through the float64 twin: median (largest) over five states of the \
+generator, `inlay` at 64 px. For the last two columns one thing is wrong in the twin itself, as named.
 
 ## Pictures
 
