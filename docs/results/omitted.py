@@ -130,14 +130,14 @@ def page(record: dict) -> str:
 
 {as_markdown(fits(record["fits"], "material"))}
 
-{counts["material"]} known materials, whose photos follow the model: what is for other photos is omitted by \
-itself (`fit --explain`).
+{counts["material"]} known materials. Their photos follow the model, so a fit omits by itself what is for \
+other photos (`fit --explain`).
 
 {as_markdown(fits(record["fits"], "capture"))}
 
-{counts["capture"]} captures without photos 4 and 7. Both tables: errors and seconds of the loop without a \
-part over those of the whole method, median and quartiles; above 1.00 the error grows without the part. \
-128 px, seed 0, version {versions}, one core.
+{counts["capture"]} captures; photos 4 and 7 are held out. Both tables divide errors and seconds of the loop \
+without a part by those of the whole method: median and quartiles. Above 1.00 the fit is worse, or slower, \
+without the part. 128 px, seed 0, version {versions}, one core.
 
 ![Errors of held-out photos without each part](omitted.svg)
 
@@ -146,25 +146,26 @@ part over those of the whole method, median and quartiles; above 1.00 the error 
 {as_markdown(renders(record["renders"]))}
 
 Nine views of {SIDE} px, forward and backward to the maps that are not held fixed, median and quartiles of \
-{TURNS} turns. No scene here needs the part; *with* computes it all the same. The largest difference is over \
-the brightest pixel.
+{TURNS} turns. No scene here needs the part; *with* computes it all the same. The largest difference of the \
+pictures is divided by the brightest pixel.
 
 ## Measured with version 0.1.0 alone
 
 {as_markdown(earlier(record["earlier"]))}
 
-Fits at 64 px, median of three turns; errors of maps, of new light and of held-out photos. Below 1.00 the \
-fit is better without the part. Renders as above.
+Seconds with the part are divided by those without: above 1.00 omitting it saves time. Errors without the \
+part are divided by those with it: below 1.00 the fit is better without. The largest ratio of maps, new \
+light and held-out photos is shown. Fits at 64 px, median of three turns. Renders as above.
 
 ## Plausible detail
 
 {as_markdown(added)}
 
-`fit --detail gan`, 128 px, held-out photos 4 and 7: error of the maps → with detail (ratio). *Patches* is \
-the sliced Wasserstein distance of 7 x 7 patches inside highlights, *highlights* the share of these pixels. \
-{(added["bar"] == "met").sum()} of {len(added)} captures meet the bar (patches at most {PATCHES} and RMSE at \
-most {RMSE} times those of the maps); the median ratio of patches is {middle:.2f}. So detail is omitted \
-unless asked for.
+Held-out photos 4 and 7 compared with renderings of the maps → of the maps of `fit --detail gan` (ratio), \
+128 px. *Patches* is the sliced Wasserstein distance of 7 x 7 patches inside highlights, *highlights* the \
+share of pixels there. {(added["bar"] == "met").sum()} of {len(added)} captures meet the bar (patches at \
+most {PATCHES} and RMSE at most {RMSE} times those of the maps); the median ratio of patches is \
+{middle:.2f}. So detail is omitted unless asked for.
 """
 
 
