@@ -147,9 +147,10 @@ def page(record: dict) -> str:
 
 {as_markdown(cases(record))}
 
-RMSE of the maps and verdict, {SIDE} px, version {versions}; of `hierarchical` the median of three seeds. \
-Limits: {limits}. Of {len(record["records"])} fits: {words}. \
-*Attainable*: standard deviation of an estimate of each texel by itself, with the right views and light.
+Mean RMSE of the maps, and a verdict on the fit; nine photos of a made material unless said otherwise, \
+{SIDE} px, version {versions}. Errors of `hierarchical` are the median of three seeds. Limits: {limits}. Of \
+{len(record["records"])} fits: {words}. *Attainable*: standard deviation of an estimate of each texel by \
+itself, with the right views and light. A method that ties texels to each other can be better.
 
 | verdict | when |
 | --- | --- |
@@ -168,8 +169,8 @@ No method warns of cameras that are off by 5 %, nor, under deep relief, of light
 
 ![Error of the maps against condition](stability-fits.svg)
 
-Photos of inlaid wood, one thing changed at a time. *Condition*: largest by smallest singular value of a \
-texel's Jacobian, median; a rank below 9 is an infinite condition.
+The same for photos of inlaid wood, one thing changed at a time, one seed. *Condition*: largest by smallest \
+singular value of a texel's Jacobian, median; a rank below 9 is an infinite condition.
 """
 
 
