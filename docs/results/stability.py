@@ -112,10 +112,10 @@ def page(record: dict) -> str:
 
 {as_markdown(overview(record))}
 
-`mitsvbrdf stability` made these figures with version {record["versions"]["mitsvbrdf"]} \
-(two minutes): verdicts, then the largest error of an image / of \
-the worst map's gradient, relative L2 against the float64 twin. Tests hold the twin to the \
-same model in fifty digits. No verdict is worse than expected.
+`mitsvbrdf stability` made these figures with version {record["versions"]["mitsvbrdf"]} (two minutes). A \
+cell counts the verdicts on its rows, and gives the largest error of an image / of the worst map's gradient: \
+relative L2 against the float64 twin. Tests compare the twin with the same model in fifty digits. No verdict \
+is worse than expected.
 
 {listed(VERDICTS, "when")}
 
@@ -125,9 +125,10 @@ same model in fifty digits. No verdict is worse than expected.
 
 {as_markdown(rows_of(record, ("degraded", "limited")))}
 
-*One rounding*: what turning every normal by 2^-24 rad changes in float64. *Condition*: largest by smallest \
-singular value of a texel's Jacobian, median. *Limited* rows are Mitsuba's own: it forms G / (4 n.v) from \
-its parts, adds both directions in float32, and measures the distance to the light from a rounded hit.
+*One rounding*: the change of image / gradient in float64 when every normal turns by 2^-24 rad. *Condition*: \
+largest by smallest singular value of a texel's Jacobian, median. *Limited* rows are Mitsuba's own: it forms \
+G / (4 n.v) from its parts, adds both directions in float32, and measures the distance to the light from a \
+rounded hit.
 
 ## Clamps
 
