@@ -317,7 +317,7 @@ The same two materials after 30 s, measured with an earlier version. Here `full`
 {as_markdown(gradients(record))}
 
 Relative L2 error against gradients through the float64 twin: median (largest) over five states of the \
-generator, `inlay` at 64 px. For the last two columns one thing is wrong in the twin itself, as named.
+training, `inlay` at 64 px. For the last two columns one thing is wrong in the twin itself, as named.
 
 ## Pictures
 
