@@ -125,10 +125,10 @@ is worse than expected.
 
 {as_markdown(rows_of(record, ("degraded", "limited")))}
 
-*One rounding*: the change of image / gradient in float64 when every normal turns by 2^-24 rad. *Condition*: \
-largest by smallest singular value of a texel's Jacobian, median. *Limited* rows are Mitsuba's own: it forms \
-G / (4 n.v) from its parts, adds both directions in float32, and measures the distance to the light from a \
-rounded hit.
+*Apart*: camera and light are 31 to 39 degrees apart, seen from the middle of the patch. *One rounding*: the \
+change of image / gradient in float64 when every normal turns by 2^-24 rad. *Condition*: largest by smallest \
+singular value of a texel's Jacobian, median. *Limited* rows are Mitsuba's own: it forms G / (4 n.v) from \
+its parts, adds both directions in float32, and measures the distance to the light from a rounded hit.
 
 ## Clamps
 
