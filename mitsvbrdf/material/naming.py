@@ -50,14 +50,14 @@ def kind_of(stem: str, dropped: int = 0) -> tuple[str, ...]:
     """The map that a file's name (without suffix) means, or the maps of its three or four channels; empty
     where it means none. The first ``dropped`` words of the name are ignored.
     """
-    if (short := WORKFLOW.sub("", stem)) != stem and (kinds_before := kind_of(short, dropped)):
-        return kinds_before
+    if (short := WORKFLOW.sub("", stem)) != stem and (
+            (known := kind_of(short, dropped)) or re.search(r"_[A-Z]{3,}\d*$", short)):  # a map's word
+        return known
     parts = words(stem)[dropped:]
     for end in (1, 2):
         if (packed := "".join(parts[-end:])) in PACKED:
             return PACKED[packed]
-    kinds: list[str] = []
-    end = len(parts)
+    kinds, end = list[str](), len(parts)
     while end:
         begin = next((k for k in range(end) if "".join(parts[k:end]) in KINDS), None)
         if begin is not None:

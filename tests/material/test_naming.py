@@ -36,7 +36,7 @@ SETS = {
                        "Default_normal.jpg", "base_color=Default_albedo.jpg normal=Default_normal.jpg "
                        "roughness=Default_metalRoughness.jpg:1 metallic=Default_metalRoughness.jpg:2"),
     "Poliigon": ("Rust_COL_2K_METALNESS.jpg Rust_METALNESS_2K_METALNESS.jpg Rust_NRM_2K_METALNESS.jpg "
-                 "Rust_DISP16_2K_METALNESS.png Rust_ROUGHNESS_2K_METALNESS.jpg",
+                 "Rust_DISP16_2K_METALNESS.png Rust_FUZZ_2K_METALNESS.jpg Rust_ROUGHNESS_2K_METALNESS.jpg",
                  "base_color=Rust_COL_2K_METALNESS.jpg metallic=Rust_METALNESS_2K_METALNESS.jpg "
                  "normal=Rust_NRM_2K_METALNESS.jpg roughness=Rust_ROUGHNESS_2K_METALNESS.jpg"),
     "roughness first": ("x_col.png x_rma.png x_nrm.png", "base_color=x_col.png normal=x_nrm.png "
