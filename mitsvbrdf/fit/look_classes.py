@@ -81,10 +81,10 @@ class LookClasses:
 
     ``lightness`` is the relative deviation of diffuse colours along their mean, ``tint`` the deviation of
     each channel in linear^(1/2.2), ``worn`` that of the log of roughness, ``relief`` that of a normal's
-    slope. ``place`` and ``power`` are changes of the view, 0 where it is held; ``lit``: the power is held.
+    slope. ``place`` and ``power`` are changes of the view of the capture, 0 where they are held.
     """
 
-    def __init__(self, numbers: Tensor, views: Views, held: bool, lit: bool = False) -> None:
+    def __init__(self, numbers: Tensor, views: Views, held: bool, power_held: bool = False) -> None:
         part = PARTS.unpack(numbers)
         self.diffuse, self.specular = (color.decode(torch.sigmoid(value)) for value in (part.diffuse,
                                                                                       part.specular))
@@ -94,7 +94,7 @@ class LookClasses:
         self.share = torch.log_softmax(part.share, dim=-1)
         self.views = views.in_patch_sides().to(torch.float32)
         self.place: Tensor = torch.zeros(3) if held else part.place
-        self.power: Tensor = torch.zeros(()) if held or lit else part.power
+        self.power: Tensor = torch.zeros(()) if held or power_held else part.power
         self.moved = torch.cat((self.place[:2], self.views.camera[0, 2:] * self.place[2:].expm1()))
 
     @staticmethod
