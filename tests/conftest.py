@@ -39,10 +39,10 @@ def pytest_configure(config: pytest.Config) -> None:
     from mitsvbrdf.render.llvm import use_llvm
 
     with contextlib.suppress(BackendError):  # each test says so that needs it
-        if config.option.markexpr == "not slow" and use_llvm().version.startswith("19."):
+        if config.option.markexpr == "not slow" and (llvm := use_llvm()).version.startswith("19."):
             options = b"tests", b"-opt-bisect-limit=0", b"-opt-bisect-verbose=false", b"-regalloc=fast"
             given = (ctypes.c_char_p * len(options))(*options)
-            ctypes.CDLL(use_llvm().path).LLVMParseCommandLineOptions(len(options), given, None)
+            ctypes.CDLL(llvm.path).LLVMParseCommandLineOptions(len(options), given, None)
             os.environ["DRJIT_CACHE_DIR"] = str(config.rootpath / ".pytest_cache" / "kernels")
 
 

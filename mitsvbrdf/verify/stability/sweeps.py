@@ -17,7 +17,7 @@ CASE_SIDE = 16  # texels along a side of most materials: 256 texels, each a case
 TAKEN_APART_SIDE = 64  # larger materials are compared, without limits and condition numbers
 
 GRID = nine_view_grid()
-# camera and light are 20 degrees from the half vector
+# camera and light are 15 to 20 degrees from the half vector
 APART = Views.of(GRID.camera, GRID.camera + torch.tensor([1.5, -0.3, 0.1]), GRID.intensity)
 
 # Known errors of Mitsuba's plugins beyond the rounding of a normal: largest relative L2, and cause.
