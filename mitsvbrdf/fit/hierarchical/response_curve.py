@@ -54,7 +54,7 @@ def curved(scale: Scale, answer: TexelEstimate, observed: Callable[[Scale, Texel
             shorter /= 4
         else:
             break
-        curve, least = bend, float(solved.data.mean())
+        curve, least = bend, min(least, float(solved.data.mean()))
         answer = next_prior(bent, photos, answer._replace(x=solved.x))
         found = bent, answer
         if shorter * float(step.abs().max()) < STILL:

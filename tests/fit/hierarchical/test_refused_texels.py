@@ -81,5 +81,5 @@ def test_a_round_of_exact_photos_at_full_size_is_measured_by_a_sample(fine, monk
     svbrdf, _, seen = fine.glimpse()
     some = slice(SIDE // 4 // 2, None, SIDE // 4)
     assert fine.measured_every == 1 and torch.equal(seen.photos, fine.capture.photos[:, some, some])
-    whole = fine.estimate()[0]
-    assert all(torch.equal(value, whole[name][some, some]) for name, value in svbrdf.maps.items())
+    whole = fine.estimate()[0]  # torch's powers of few and of many numbers round apart with AVX-512
+    assert all((value - whole[name][some, some]).abs().max() < 1e-7 for name, value in svbrdf.maps.items())

