@@ -88,9 +88,9 @@ lobe.
 ## Within one deviation, with look-alikes, by case
 
 Each row is one fit. *F0 own* is the material's; a number replaces it everywhere. Bold: below {NARROW:.0%}. \
-There the stated deviation is too narrow, or the fit is an unlucky draw: texels of one material share much of \
-their error. The specular map of leather at noise 0.01, for one, is off by nearly the same number everywhere, \
-1.06 deviations.
+There the stated deviation is too narrow, or the fit is an unlucky draw: texels of one material share much \
+of their error. The specular map of leather at noise 0.01, for one, is off by nearly the same number \
+everywhere, about one deviation.
 
 {as_markdown(each)}
 """
