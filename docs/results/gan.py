@@ -235,11 +235,11 @@ maps, and RMSE under new light; median of three seeds.
 
 {as_markdown(solved(record))}
 
-Mean RMSE of {len(fits)} known materials, 64 px, 200 steps, one seed. *Furthest apart*: the largest \
-difference of any material. The change of the adversarial game was kept in {changed_maps(SOLVED)} of \
-{4 * len(fits)} maps: it predicts held-out patches of the photos no better. At 256 px and 300 s it was kept \
-in {changed_maps(LARGE)} of {4 * len(DEEP)} maps of the three materials of deepest relief \
-({", ".join(DEEP)}).
+Mean RMSE of {len(fits)} known materials (two are the same), 64 px, 200 steps, one seed. *Furthest apart*: \
+the largest difference of any material. The change of the adversarial game was kept in \
+{changed_maps(SOLVED)} of {4 * len(fits)} maps: it predicts held-out patches of the photos no better. At 256 \
+px and 300 s it was kept in {changed_maps(LARGE)} of {4 * len(DEEP)} maps of the three materials of deepest \
+relief ({", ".join(DEEP)}).
 
 ## Maps that others published
 
