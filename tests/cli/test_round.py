@@ -82,7 +82,7 @@ def test_plain_mitsuba_renders_the_exported_scene(bsdf, shots, tmp_path):
     out = tmp_path / "out"
     assert cli.main(["fit", str(shots), "-o", str(out), "--bsdf", bsdf, *FAST, "--views", "1,3"]) == 0
     code = f"""
-import mitsuba as mi, numpy as np
+import drjit, mitsuba as mi, numpy as np; drjit.set_thread_count(2)  # on one core load_file waits for ever
 for variant in "llvm_ad_rgb", "scalar_rgb":
     mi.set_variant(variant)
     image = np.array(mi.render(mi.load_file({str(out / 'scene.xml')!r}, parallel=False)))
