@@ -3,7 +3,6 @@
 import json
 import secrets
 from collections import Counter
-from collections.abc import Collection
 
 import msgspec
 
@@ -100,9 +99,8 @@ def data_script(told: dict) -> str:
     return f"{GLOBAL} = {text.replace('<', chr(92) + 'u003c')};\n"
 
 
-def matches(row: dict, text: str, states: Collection[str] = ()) -> bool:
-    """Whether a row contains a text, in any case, and has one of these states; no states: any state."""
+def matches(row: dict, text: str) -> bool:
+    """Whether a row contains a text, in any case."""
     words = (" ".join(value) if isinstance(value, list) else str(value or "")
              for value in (row[name] for name in SEARCHED))
-    found = any(text.casefold() in word.casefold() for word in words)
-    return found and (not states or row["state"] in states)
+    return any(text.casefold() in word.casefold() for word in words)

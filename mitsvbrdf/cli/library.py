@@ -33,8 +33,8 @@ def library(
     if not results.is_library():
         raise MapsError("the LIBRARY of a batch", f"{folder}, which is none", "`mitsvbrdf batch` makes one")
     materials, replaced = Library(results), state == "replaced"
-    states = (state,) if state in ("done", "failed") else ()
-    chosen = [row for row in materials.rows(replaced) if matches(row, search, states)]
+    chosen = [row for row in materials.rows(replaced)
+              if matches(row, search) and state in ("all", "replaced", row["state"])]
     if verify:
         unread = [] if replaced or state == "failed" else [
             name for name in results.names() if search.lower() in name.lower()

@@ -16,14 +16,15 @@ from ..fit.result import Fit
 from ..io.entry import entry
 from ..material.maps import SVBRDF
 from ..measure.metrics import of_all
-from ..measure.rerender import rerender, rerender_errors
+from ..measure.rerender import rerendered
 from ..render import Renderer
 from . import evaluate_capture
 from .placement import fitted_views, is_of, placed
 
 
 def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Renderer,
-                    priors: Priors | None = None, index: Sequence[int] | None = None) -> dict:
+                    priors: Priors | None = None, index: Sequence[int] | None = None,
+                    pictures: list[Tensor] | None = None) -> dict:
     """Errors of the re-rendered photos in display values.
 
     Views are :func:`fitted_views`. Errors of :func:`mitsvbrdf.evaluate.evaluate_capture` stand beside these.
@@ -34,6 +35,7 @@ def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Render
         capture: N photos, as :func:`~mitsvbrdf.evaluate.placement.placed` leaves them.
         priors: if given, measure a third time, with refined views and frozen maps.
         index: numbers of the photos to measure; None: all. All tell whether the fit is of this capture.
+        pictures: gets the re-rendered photos, N x R x R x 3 display values; None: they are not kept.
 
     Returns:
         ``views`` (in words), ``fitted_views`` and ``held_out`` (names of photos), ``rerender_rmse``,
@@ -42,12 +44,14 @@ def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Render
     """
     here, (views, fitted) = is_of(fit, capture), fitted_views(fit, capture)
     if index is not None:
-        capture, everything = capture.pick(index), capture.index
-        views = views.pick([everything.index(number) for number in capture.index])
-        fitted = [name for name in fitted if name in capture.names]
+        capture, rows = capture.pick(index), [capture.index.index(number) for number in index]
+        views, fitted = views.pick(rows), [name for name in fitted if name in capture.names]
     seen = [row for row, number in enumerate(capture.index) if here and number in fit.seen]
     held_out = [row for row in range(len(capture)) if here and row not in seen]
-    total, each = rerender_errors(renderer, svbrdf.resized(capture.resolution), views, capture)
+    total, each, images, _ = rerendered(renderer, svbrdf.resized(capture.resolution), views, capture,
+                                        1 if pictures is None else capture.resolution)
+    if pictures is not None:
+        pictures.append(color.to_display(images, capture.transfer))
 
     def apart(found: dict) -> dict:
         each, told = list(found["per_photo"].values()), capture.measured
@@ -124,22 +128,16 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer,
     names = [one.name for one in entries]
     if not names or len(set(names)) < len(names):
         raise ConfigError("methods with a name of their own", str(names or "none"), "write NAME=FOLDER")
-    all_photos, capture = capture, capture if index is None else capture.pick(index)
-    rows = [all_photos.index.index(number) for number in capture.index]
-    methods, pictures, lit = [], [], set[str]()
+    methods, pictures, lit = [], list[Tensor](), set[str]()
     for one in entries:
         fit = one.fit
-        shots = all_photos.but(views=replace(all_photos.views, falloff=fit.falloff))
-        shots = placed(shots, fit, transfer)
+        shots = placed(capture.but(views=replace(capture.views, falloff=fit.falloff)), fit, transfer)
         lit.add(str([shots.views.camera.tolist(), shots.views.light.tolist()]))
         svbrdf = one.svbrdf.resized(capture.resolution)
-        views = fitted_views(fit, shots)[0].pick(rows)
-        images = rerender(renderer, svbrdf, views, shots.pick(capture.index))[0]
-        pictures.append(color.to_display(images, shots.transfer))
         methods.append({"name": one.name, "folder": one.folder, "resolution": one.svbrdf.resolution,
             "bsdf": one.svbrdf.bsdf, "transfer": shots.transfer, "falloff": fit.falloff,
             "flash_offset": fit.flash_offset, "map_rmse": map_errors and dict(map_errors(svbrdf)),
-            **evaluate_photos(svbrdf, fit, shots, renderer, priors, capture.index)})
-    return {"capture": capture.name or None, "photos": list(capture.names),
+            **evaluate_photos(svbrdf, fit, shots, renderer, priors, index, pictures)})
+    return {"capture": capture.name or None, "photos": list(methods[0]["per_photo"]),
             "resolution": capture.resolution, "renderer": renderer.name, "same_views": len(lit) == 1,
             "methods": methods}, pictures

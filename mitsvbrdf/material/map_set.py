@@ -80,12 +80,13 @@ def find_maps(folder: Path) -> MapSet:
         folder = folder / "textures"
         chosen, passed = sources(folder)
     about = read_material_json(folder)
-    strip = next((path for name in STRIPS if (path := folder / name).is_file()), None)
-    if not strip and len(passed) == 1 and not chosen:  # the only picture, if it is four or five squares
-        width, height = header(passed[0], MapsError).size
-        strip = passed[0] if width in (4 * height, 5 * height) else None
-    if "diffuse" not in chosen and strip and about.get("bsdf") != "principled":
-        return strip_set(strip, about.get("encoding", {}))
+    pictures = [*{*passed, *(each.path for each in chosen.values() if each.path)}]
+    strips = [folder / name for name in STRIPS if "diffuse" not in chosen and (folder / name).is_file()]
+    if len(pictures) == 1:  # whatever its name says, if it is four or five squares
+        width, height = header(pictures[0], MapsError).size
+        strips += pictures if width in (4 * height, 5 * height) else []
+    if strips and about.get("bsdf") != "principled":
+        return strip_set(strips[0], about.get("encoding", {}))
     return MapSet(folder, chosen, about.get("encoding", {}), "gamma 2.2" if is_of_field(chosen) else "srgb",
                   about.get("bsdf"), tuple(path.name for path in passed))
 

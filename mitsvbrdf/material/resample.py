@@ -23,10 +23,10 @@ def area_averaged(images: Tensor, side: int) -> Tensor:
     return images if same else _interpolated(images, (side, side), mode="area").contiguous()
 
 
-def averaged_rows(part: Callable[[slice], Tensor], count: int, side: int) -> Tensor:
-    """:func:`area_averaged` of images (... x R x R x C, R = ``count``); ``part`` gives some of their rows."""
-    rows = (slice(k * count // side, -((k + 1) * -count // side)) for k in range(side))
-    return torch.cat([_interpolated(part(each), (1, side), mode="area") for each in rows], dim=-3)
+def averaged_rows(part: Callable[[slice], Tensor], count: int, height: int, width: int = 0) -> Tensor:
+    """Area averages of images (... x R x W x C, R = ``count``), or squares; ``part`` gives their rows."""
+    rows = (slice(k * count // height, -((k + 1) * -count // height)) for k in range(height))
+    return torch.cat([_interpolated(part(each), (1, width or height), mode="area") for each in rows], dim=-3)
 
 
 def enlarged_rows(images: Tensor, side: int, rows: slice) -> Tensor:

@@ -19,7 +19,7 @@ from ..fit.confidence import UNKNOWN, of_texels
 from ..fit.diagnose import about_views
 from ..fit.result import Fit
 from ..io import Report, files, images
-from ..io.json import NUMBER, load, shape_error
+from ..io.json import load
 from ..material.maps import CHANNELS, TITLES, shown_map
 from ..measure.metrics import of_all, photo_rmse
 from ..measure.rerender import rerender
@@ -126,28 +126,25 @@ def _predicted(found: Fit, capture: Capture, engine: Renderer, into: Path) -> tu
         each.append(error)
         images.write_png(into / "predicted" / f"{name}.png", image[0],
                          shown=partial(color.to_display, transfer=capture.transfer))
-    return [{"name": name, "held_out": True, "rmse": error, "photo": f"photos/{name}.png",
-             "rerendered": f"predicted/{name}.png"} for name, error in zip(capture.names, each)
-            ], of_all(each, capture.measured)
+    return [*map(_held_out, capture.names, each)], of_all(each, capture.measured)
+
+
+def _held_out(name: str, rmse: float) -> dict:
+    return {"name": name, "held_out": True, "rmse": rmse, "photo": f"photos/{name}.png",
+            "rerendered": f"predicted/{name}.png"}
 
 
 def _earlier(found: Fit) -> tuple[list[dict], float | None]:
     """Held-out photos that an earlier page of this folder had."""
     try:
         record = load(found.path / "report.json")
-        photos = [photo for photo in record["photos"] if photo["held_out"] is True]
-        error = record["held_out_rmse"]
-        numbers = [int(photo["name"]) for photo in photos]
+        photos = [_held_out(f"{int(photo['name']):02d}", float(photo["rmse"])) for photo in record["photos"]
+                  if photo["held_out"] is True]
+        error = float(record["held_out_rmse"]) if photos else None
     except (OSError, ValueError, KeyError, TypeError):
         return [], None
-    shape = {"name": str, "rmse": NUMBER, "photo": str, "rerendered": str}
-    if (not photos or shape_error(photos, [shape]) or not isinstance(error, NUMBER)
-            or not all(photo["photo"] == f"photos/{n:02d}.png"
-                       and photo["rerendered"] == f"predicted/{n:02d}.png"
-                       and _there(photo["photo"], found.path) and _there(photo["rerendered"], found.path)
-                       for photo, n in zip(photos, numbers))):
-        return [], None
-    return photos, error
+    there = all(_there(photo[part], found.path) for photo in photos for part in ("photo", "rerendered"))
+    return (photos, error) if there else ([], None)
 
 
 def _write_page(found: Fit, record: dict, into: Path) -> None:

@@ -13,7 +13,6 @@ from matplotlib.transforms import Bbox
 from torch import Tensor
 
 from .. import color
-from ..errors import CaptureError
 from ..io import files
 from ..material.maps import CHANNELS, SVBRDF, TITLES, shown_map
 
@@ -59,15 +58,9 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
 
     Colour maps are shown in sRGB, roughness and metallic as they are, normals as (n + 1) / 2. At most nine
     photos are shown. Photos and re-renderings are display values N x R x R x 3 in [0, 1], errors in display
-    values too; the guess is linear. ``remarks`` are a few words beside the name of some maps. CaptureError:
-    photos, re-renderings, errors and names of different number or shape.
+    values too; the guess is linear. ``remarks`` are a few words beside the name of some maps.
     """
     count = len(photos)
-    if not count or photos.shape != rerendered.shape or not count == len(per_photo) == len(names):
-        raise CaptureError("a re-rendering, an error and a name for each photo",
-                           f"photos {tuple(photos.shape)}, re-rendered {tuple(rerendered.shape)}, "
-                           f"{len(per_photo)} errors, {len(names)} names",
-                           "give all of them for the same photos")
     shown = min(count, SHOWN)
     behind = {name: f"  ·  {remark}" for name, remark in (remarks or {}).items()}
     tiles = [(TITLES[name] + behind.get(name, ""), shown_map(name, svbrdf[name]))

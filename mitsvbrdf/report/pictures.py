@@ -9,10 +9,10 @@ import math
 from collections.abc import Callable
 
 import torch
-import torch.nn.functional as F
 from torch import Tensor
 
 from .. import color
+from ..material.resample import averaged_rows
 
 
 def magma(share: Tensor) -> Tensor:
@@ -59,10 +59,7 @@ def at_most(picture: Tensor, side: int, shown: Callable[[Tensor], Tensor] = Tens
     """
     if max(picture.shape[:2]) <= side:
         return shown(picture)
-    (height, width), count = shrunk(picture, side), len(picture)
-    rows = (slice(k * count // height, -((k + 1) * -count // height)) for k in range(height))
-    return torch.cat([F.adaptive_avg_pool2d(shown(picture[each]).permute(2, 0, 1), (1, width))
-                      for each in rows], dim=1).permute(1, 2, 0)
+    return averaged_rows(lambda rows: shown(picture[rows]), len(picture), *shrunk(picture, side))
 
 
 def shrunk(picture: Tensor, side: int) -> tuple[int, int]:

@@ -20,7 +20,7 @@ VIEWER_SIDE = 512  # texels along a side; maps of noise are 5.3 MB then, those o
 TOP_LEVELS = {"square": 4095, "plain": 65535, "octahedral": 65535}  # highest integer of each coding
 
 
-def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
+def viewer_html(svbrdf: SVBRDF) -> str:
     """The viewer as an HTML fragment, for one place of a page that extends ``report/base.html``.
 
     The template marks it ``|safe``. It asks nothing of the network, opens from disk, and puts
@@ -28,8 +28,7 @@ def viewer_html(svbrdf: SVBRDF, *, largest: int = VIEWER_SIDE) -> str:
     that are not finite or out of range.
     """
     svbrdf = svbrdf.detach().check()
-    if svbrdf.resolution > largest:
-        svbrdf = svbrdf.resized(largest)
+    svbrdf = svbrdf.resized(min(svbrdf.resolution, VIEWER_SIDE))
     names = CHANNELS[svbrdf.bsdf]
     maps = [encode(name, svbrdf[name].cpu().double().numpy(),
                    "octahedral" if name == "normal" else "square" if name in COLOURS else "plain")

@@ -105,8 +105,7 @@ def test_verify_finds_what_changed(ask, library):
 
 
 def test_mistakes(ask, tmp_path):
-    (tmp_path / "empty").mkdir()
-    for folder in (tmp_path / "empty", tmp_path / "missing"):
+    for folder in (tmp_path, tmp_path / "missing"):
         code, _, errors = ask(folder=folder)
         assert code == 2 and "`mitsvbrdf batch` makes one" in errors
 

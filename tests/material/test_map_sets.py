@@ -184,13 +184,14 @@ def test_a_strip_of_other_shape_is_refused(count, tmp_path):
         load_maps(tmp_path / "maps.png")
 
 
-def test_the_only_picture_of_a_folder_is_a_strip_if_it_has_its_shape(tmp_path):
+@pytest.mark.parametrize("name", ["brick.png", "rusty_metal.png", "diffuse.png"])  # words of maps, or none
+def test_the_only_picture_of_a_folder_is_a_strip_if_it_has_its_shape(name, tmp_path):
     pixels = np.full((8, 32, 3), 128, np.uint8)
     pixels[:, :8] = 128, 128, 255  # flat normals first
-    Image.fromarray(pixels).save(tmp_path / "brick.png")
+    Image.fromarray(pixels).save(tmp_path / name)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", AssumedWarning)
         assert load_maps(tmp_path)["roughness"].shape == (8, 8, 1)
-    Image.fromarray(pixels[:, :16]).save(tmp_path / "brick.png")
-    with pytest.raises(MapsError, match="material needs"):  # no strip, but no map either
+    Image.fromarray(pixels[:, :16]).save(tmp_path / name)
+    with pytest.raises(MapsError, match="material needs|square"):  # no strip, but no map either
         load_maps(tmp_path)

@@ -92,12 +92,6 @@ def test_exposure_counts_in_the_error():
     assert mean.error(exposure=12) == 0  # all white
 
 
-def test_what_has_no_noise_has_no_error():
-    picture = torch.full((8, 8, 3), 0.375)
-    found = render_passes(lambda call, samples: picture, 16, pixels=64)
-    assert found.error == 0 and torch.equal(found.image, picture)
-
-
 def test_number_of_samples_is_kept_and_calls_are_independent():
     calls = []
 

@@ -152,6 +152,6 @@ def test_a_report_json_of_somebody_else_is_not_trusted(copy):
         photo |= {"photo": "../secret.png", "rerendered": "../secret.png"}
     images.write_png(copy.parent / "secret.png", torch.zeros(SIDE, SIDE, 3))
     (copy / "report.json").write_text(json.dumps(record))
-    assert [photo["held_out"] for photo in write_report(copy, quick=True)["photos"]] == [False] * 3
+    assert "secret" not in str(write_report(copy, quick=True)["photos"])
     (copy / "report.json").write_text("[1]")
     assert write_report(copy, quick=True)["held_out_rmse"] is None

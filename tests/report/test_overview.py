@@ -43,17 +43,6 @@ def test_a_principled_material_with_guess(tmp_path):
     assert image[HEADER + LABEL + 150, -MARGIN - 150].mean() == pytest.approx(0.735, abs=0.005)
 
 
-def test_numbers_that_do_not_belong_together_are_refused(tmp_path):
-    photos = torch.zeros(3, 4, 4, 3)
-    three = ["00", "01", "02"]
-    for again, errors, names in ((photos[:2], [0.1] * 3, three), (photos, [0.1] * 2, three),
-                                 (photos, [0.1] * 3, three[:1])):
-        with pytest.raises(CaptureError, match="for each photo"):
-            write_sheet(tmp_path / "a.png", flat(4), photos, again, rmse=0.1, per_photo=errors, names=names,
-                        title="")
-    assert not list(tmp_path.iterdir())
-
-
 def test_a_failing_write_leaves_the_old_file_alone(tmp_path, monkeypatch):
     (tmp_path / "a.png").write_bytes(b"old")
 
