@@ -19,7 +19,7 @@ from msgspec import Meta
 from .. import color
 from ..errors import CaptureError, ConfigError, warn_of
 from ..io.decode import header, picture, upright
-from ..io.images import averaged, display, unmasked
+from ..io.images import averaged, display, hide
 from ..io.json import error_text, load
 from ..views import Falloff, Views, default_views
 from .capture import (
@@ -171,7 +171,7 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
             photos, pixels = display(photos), display(pixels)
         photos[row] = pixels
         if found.opaque is not None:
-            photos[row][~unmasked(upright(found.opaque, about.orientation), kept)] = np.nan
+            hide(photos[row], upright(found.opaque, about.orientation), path)
         outside[path.name] = found.outside
     whole = bool(np.isfinite(photos).all())
     pictures, measured = (torch.from_numpy(photos), None) if whole else filled(list(photos))

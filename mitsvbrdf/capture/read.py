@@ -15,7 +15,7 @@ from ..errors import CaptureError, ConfigError, noted
 from ..io import Report, files
 from ..io.decode import Picture, upright
 from ..io.entry import entry
-from ..io.images import averaged, unmasked, write_png
+from ..io.images import averaged, hide, write_png
 from ..io.json import load
 from ..material.naming import SUFFIXES as MAPS
 from ..material.naming import kind_of
@@ -249,7 +249,7 @@ def _square(photo: Photo, found: Picture, resolution: int | None) -> np.ndarray:
     square = averaged(pixels[middle], min(side, max(MOST_SQUARE, resolution or 0)))
     square = averaged(square, min(len(square), resolution or MOST_SQUARE))
     if found.opaque is not None:
-        square[~unmasked(upright(found.opaque, photo.orientation)[middle], len(square))] = np.nan
+        hide(square, upright(found.opaque, photo.orientation)[middle], photo.path)
     return square
 
 

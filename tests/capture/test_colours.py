@@ -12,7 +12,7 @@ from helpers.stated_captures import json_capture, text_capture
 
 from mitsvbrdf.capture import read_capture, write_capture
 from mitsvbrdf.capture.capture import Converted, converted
-from mitsvbrdf.errors import InputWarning
+from mitsvbrdf.errors import CaptureError, InputWarning
 from mitsvbrdf.io.colour_profile import Profile
 
 SHOWN = np.random.default_rng(0).uniform(0.2, 0.8, (16, 16, 3))
@@ -90,3 +90,7 @@ def test_masked_pixels_are_filled_in_and_told(tmp_path, rows, masked, told):
         again = read_capture(tmp_path / "again")
     assert torch.equal(again.measured, capture.measured)
     assert np.abs((again.photos - capture.photos).numpy()).max() < 1e-6
+    cv2.imwrite(str(path), np.kron(np.ones((8, 8, 1)), [[[1] * 4, [0] * 4]] * 2) * 255)  # of each average
+    for place in (tmp_path, path):  # among others, and alone
+        with pytest.raises(CaptureError, match=f"{path.name}, of which alpha masks"):
+            read_capture(place, resolution=8)
