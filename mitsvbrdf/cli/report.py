@@ -5,6 +5,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from ..errors import MapsError
 from ..io import results
 from ..io.progress import print_numbers, progress_bar, say, say_written
 from .options import Strict, keep_apart
@@ -28,6 +29,9 @@ def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder o
     from ..report.page import figure
 
     found = Fit.load(out)
+    if not (out / "rerendered").is_dir():
+        raise MapsError("a fit with its pictures", f"{out}, which has no rerendered/",
+                        "fit it again; a batch writes them with --pages all")
     held_out = None
     if capture is not None:
         keep_apart(capture, out)

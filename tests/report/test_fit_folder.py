@@ -56,6 +56,7 @@ def spoil_from(out):
     (changed(schema_version=2), ("schema version 1", "schema_version")),
     (changed(confidence={"diffuse": {}}), ("confidence", "median_sd")),
     (changed(per_photo={"../../etc": 0.1}), ("per_photo",)), (changed(trace=[{"seconds": 1}]), ("trace",)),
+    (lambda out: shutil.rmtree(out / "rerendered"), ("rerendered/", "--pages all")),  # as of --pages none
     (spoil_from, ("calibration.from",)), (spoil_map, ("normal.exr",)),
     (lambda out: (out / "rerendered/01.png").write_text("no picture"), ("01.png",)),
     (lambda out: images.write_png(out / "photos/01.png", torch.zeros(8, 8, 3)),
