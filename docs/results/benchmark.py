@@ -1,7 +1,7 @@
 """Error against run time, of methods and renderers.
 
 ``python docs/results/benchmark.py`` makes benchmark.md and benchmark.svg from benchmark.json; with
-``measure`` behind it the fits are measured first (five hours; MITSVBRDF_DATA names the photos; a run that
+``measure`` behind it the fits are measured first (three hours; MITSVBRDF_DATA names the photos; a run that
 stopped continues), with ``sizes`` seconds and memory from 64 to 4096 px (one hour).
 """
 
@@ -27,7 +27,7 @@ from mitsvbrdf.bench.table import as_markdown, judged, note, summary, table
 from mitsvbrdf.bench.tasks import data_folder, find_tasks, known_material
 
 HERE = Path(__file__).parent
-BUDGETS, LONGEST, SEEDS = [10, 30], 100, (0, 1, 2)
+BUDGETS, LONGEST, SEEDS = [3, 10, 30], 100, (0, 1, 2)
 MAPS = ["diffuse", "specular", "roughness", "normal", "mean"]
 PEERS = "peers-baseline"
 STEPS = 1000  # of the peers' baseline
@@ -298,11 +298,10 @@ def measure(lines: Path) -> list:
                    lambda text, share: print(f"{share:4.0%} {text}", flush=True))
 
     captures, longer = [*eight, *all_captures], [*BUDGETS, LONGEST]
-    records = fitted(["hierarchical"], [*captures, *known], [LONGEST])
-    records += fitted(["hierarchical"], captures, BUDGETS)
-    records += fitted(["hierarchical", "gan"], eight, longer, SEEDS)
-    records += fitted(["hierarchical", "gan"], eight, [3 * LONGEST])
-    records += fitted(["direct", "hybrid"], eight, longer)
+    records = fitted(["hierarchical"], captures, longer) + fitted(["hierarchical"], known, [LONGEST])
+    records += fitted(["direct", "hybrid", "gan"], eight, longer)
+    records += fitted(["direct", "hybrid", "gan"], all_captures, BUDGETS[1:])
+    records += fitted(["hierarchical", "gan"], eight, BUDGETS[1:], SEEDS)
     return records + measured_peers(eight, records, renderer, lines)
 
 
