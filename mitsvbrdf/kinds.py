@@ -5,7 +5,7 @@ import inspect
 import numbers
 import os
 import types
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal, ParamSpec, TypeVar, Union, get_args, get_origin, get_type_hints
@@ -31,26 +31,23 @@ def kinds_checked(function: Callable[P, T]) -> Callable[P, T]:
 
 def check_arguments(function: Callable, args: tuple, kwargs: Mapping[str, Any]) -> None:
     """Raise ConfigError for the first argument that is not of its annotation's kind."""
-    hints, names = _about(function)
-    for name, value in (*zip(names, args), *kwargs.items()):
-        if name in hints and not _fits(value, hints[name]):
-            raise _other_kind(name, hints[name], value, function.__name__)
+    _check(function, (*zip(_about(function)[1], args), *kwargs.items()))
 
 
 def check_fields(instance: Any, *names: str) -> None:
     """Raise ConfigError for the first field of a dataclass, of all or of ``names``, of another kind."""
-    owner: Any = type(instance)
+    wanted = names or [field.name for field in fields(instance)]
+    _check(type(instance), ((name, getattr(instance, name)) for name in wanted))
+
+
+def _check(owner: Any, values: Iterable[tuple[str, object]]) -> None:
     hints, _ = _about(owner)
-    for name in names or [field.name for field in fields(instance)]:
-        if name in hints and not _fits(getattr(instance, name), hints[name]):
-            raise _other_kind(name, hints[name], getattr(instance, name), owner.__name__)
-
-
-def _other_kind(name: str, hint: Any, value: object, owner: str) -> ConfigError:
-    got = repr(value)
-    return ConfigError(f"{name}: {inspect.formatannotation(hint).replace('mitsvbrdf.', '')}",
-                       f"{got if len(got) < 60 else got[:60] + '...'} ({type(value).__name__})",
-                       f"see help({owner})")
+    for name, value in values:
+        if name in hints and not _fits(value, hints[name]):
+            got = repr(value)
+            raise ConfigError(f"{name}: {inspect.formatannotation(hints[name]).replace('mitsvbrdf.', '')}",
+                              f"{got if len(got) < 60 else got[:60] + '...'} ({type(value).__name__})",
+                              f"see help({owner.__name__})")
 
 
 @functools.cache

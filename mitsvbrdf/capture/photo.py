@@ -202,25 +202,19 @@ def differences(photos: Sequence[Photo]) -> list[str]:
     """A warning for each setting that differs, with photos and values; and one if no photo has the flash."""
     found = []
     for what in SAME:
-        names: dict[float | str, list[str]] = {}
+        names: dict[str, list[str]] = {}
         for photo in photos:
-            if what in photo.exif:
-                names.setdefault(photo.exif[what], []).append(photo.name)
+            if (value := photo.exif.get(what)) is not None:
+                names.setdefault(value if isinstance(value, str) else f"{value:g}", []).append(photo.name)
         if len(names) > 1:
             usual = max(names, key=lambda value: len(names[value]))
             odd = sorted((name, value) for value, those in names.items() if value != usual for name in those)
-            listed = ", ".join(f"{_shown(value)} in {name}" for name, value in odd[:4])
-            more = f" and {len(odd) - 4} more" if len(odd) > 4 else ""
-            found.append(f"{what} differs: {_shown(usual)} in {names[usual][0]}"
-                         f"{' and others' if len(names[usual]) > 1 else ''}, {listed}{more}; lock it for "
-                         "comparable photos")
+            rest = listed([f"{value} in {name}" for name, value in odd])
+            found.append(f"{what} differs: {usual} in {names[usual][0]}"
+                         f"{' and others' * (len(names[usual]) > 1)}, {rest}; lock it for comparable photos")
     if all(photo.exif.get("flash") == "off" for photo in photos):
         found.append("no photo was taken with the flash, says EXIF: the highlights are those of the room")
     return found
-
-
-def _shown(value: float | str) -> str:
-    return value if isinstance(value, str) else f"{value:g}"
 
 
 def read_exif(path: Path, kind: str) -> dict[str, float | str]:

@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from ..errors import warn_of
+from ..io.images import display
 from .capture import LEAST_SIDE, check_held
 from .lens import Lens, Pose, project
 from .photo import Photo, reduced
@@ -67,7 +68,6 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
     at = project(lens, pose, CORNERS * size)
     longest = np.linalg.norm(np.roll(at, -1, axis=0) - at, axis=1).max()
     times = max(1, int(np.ceil(np.nan_to_num(longest, nan=0.0) / resolution))) if np.isfinite(longest) else 1
-    whole = float(np.iinfo(pixels.dtype).max) if np.issubdtype(pixels.dtype, np.integer) else 1.0
     # Positions of texels as in views.texel_positions, but a band of rows at a time.
     steps = ((np.arange(resolution * times) + 0.5) / (resolution * times) - 0.5) * size
     out = np.empty((resolution, resolution, 3), dtype=np.float32)
@@ -79,7 +79,7 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
         where = np.nan_to_num(where, nan=-1e6).astype(np.float32)
         low = np.clip(np.floor(where.min(axis=(0, 1))).astype(int) - 2, 0, (width - 1, height - 1))
         high = np.clip(np.ceil(where.max(axis=(0, 1))).astype(int) + 3, low + 1, (width, height))
-        window = pixels[low[1] : high[1], low[0] : high[0]].astype(np.float32) / whole
+        window = display(pixels[low[1] : high[1], low[0] : high[0]])
         if opaque is not None:
             window[~opaque[low[1] : high[1], low[0] : high[0]]] = np.nan
         sampled = cv2.remap(window, where - low.astype(np.float32), None, cv2.INTER_LINEAR,

@@ -7,6 +7,7 @@ import importlib
 import struct
 import warnings
 from collections.abc import Callable, Iterator
+from itertools import product
 from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from typing import NamedTuple
 import imagecodecs
 import numpy as np
 import simplejpeg
-from PIL import Image
+from PIL import Image, TiffImagePlugin
 
 from ..errors import MitsvbrdfError, warn_of
 from .colour_profile import Profile, exif_of, profile_of, to_srgb
@@ -25,7 +26,10 @@ MAGIC = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG", b"II*\0": "TIFF",
 HEIF_BRANDS = b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"
 DNG_VERSION = b"\x12\xc6\1\0\4\0\0\0", b"\xc6\x12\0\1\0\0\0\4"  # tag 50706 of TIFF, four bytes
 BITS, PHOTOMETRIC, ORIENTATION, EXTRA_SAMPLES = 258, 262, 274, 338  # tags of TIFF; EXIF has the third
-NEGATIVE, TWELVE_BITS = "negative", "I;12"  # grey whose white is 0; grey up to 4095
+BETWEEN = 10, 12, 14  # bits of TIFFs that libtiff gives in 16; Pillow is told of them for their headers
+for _ends, _bits, (_meaning, _count) in product((b"II", b"MM"), BETWEEN, ((0, 1), (1, 1), (2, 3))):
+    TiffImagePlugin.OPEN_INFO.setdefault((_ends, _meaning, (1,), 1, (_bits,) * _count, ()),
+                                         ("I;16" if _count == 1 else "RGB", f"I;{_bits}"))
 FOREIGN = "CMYK", "LAB", "HSV"  # Pillow's names of channels that are no RGB
 OPAQUE = 0.98  # share of the largest alpha from which a pixel is opaque; a constant alpha is no mask
 # by EXIF's orientation: quarter turns counter-clockwise, from the photo as shown to the sensor's picture
@@ -38,8 +42,10 @@ class Header(NamedTuple):
     kind: str  # PNG, JPEG, TIFF, WEBP or HEIF
     size: tuple[int, int]  # width and height as stored
     orientation: int  # EXIF's, 1 to 8; 1: shown as stored
-    mode: str  # Pillow's name of the channels, NEGATIVE or TWELVE_BITS
+    mode: str  # Pillow's name of the channels
     profile: Profile | None  # of its colours; None: those of sRGB
+    bits: int = 8  # of a value in a TIFF
+    negative: bool = False  # whether 0 is white, in a grey TIFF
 
 
 class Picture(NamedTuple):
@@ -91,16 +97,14 @@ def header(path: Path, error: type[MitsvbrdfError]) -> Header:
             if image.mode in FOREIGN:
                 raise error("a picture in RGB or grey", f"{path} in {image.mode}",
                             "convert it to sRGB where its profile is known, and save it as RGB")
-            masked, mode = image.has_transparency_data, image.mode
+            masked, mode, bits, negative = image.has_transparency_data, image.mode, 8, False
             if kind == "TIFF":
                 masked = masked and tags.get(EXTRA_SAMPLES, (0,))[0]
-                bits = tags.get(BITS, (1,))[0]
-                mode = ("P" if bits < 8 else NEGATIVE if tags.get(PHOTOMETRIC) == 0 else
-                        TWELVE_BITS if bits == 12 else mode)
-                if mode == "P":  # read by Pillow, which turns it upright
-                    turned, size = 1, size[::-1] if turned in (5, 6, 7, 8) else size
+                bits, negative = tags.get(BITS, (1,))[0], tags.get(PHOTOMETRIC) == 0
+                if bits < 8 or mode == "P":  # read by Pillow, which turns it upright
+                    mode, turned, size = "P", 1, size[::-1] if turned in (5, 6, 7, 8) else size
             return Header(kind, size, turned if turned in range(1, 9) else 1, "RGBA" if masked else mode,
-                          profile_of(image, path))
+                          profile_of(image, path), bits, negative)
 
 
 def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Picture:
@@ -121,8 +125,9 @@ def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Pict
             pixels = _decoded(imagecodecs.png_decode, content, about.mode == "RGBA")
         elif about.kind == "TIFF" and about.mode != "P":  # for a palette, libtiff gives the indices
             pixels = _decoded(imagecodecs.tiff_decode, content, about.mode == "RGBA")
-            pixels = (~pixels if about.mode == NEGATIVE else
-                      pixels << 4 | pixels >> 8 if about.mode == TWELVE_BITS else pixels)
+            if about.bits in BETWEEN:
+                pixels = pixels << 16 - about.bits | pixels >> 2 * about.bits - 16
+            pixels = ~pixels if about.negative and about.mode != "RGBA" else pixels
         else:
             pixels = _by_pillow(path, about)
     alpha, outside = None, 0.0

@@ -48,14 +48,14 @@ def test_header(tmp_path):
 
 
 def test_settings_that_differ_are_named(tmp_path):
-    same = [saved(tmp_path / f"{name}.jpg") for name in "ab"]
+    same = [saved(tmp_path / f"{time}.jpg", exposure=time) for time in (0.01, 0.01000000002)]
     assert differences(same) == []
     other = saved(tmp_path / "c.jpg", iso=400, exposure=0.02, focal=2.1, balance=0, flash=0, model="Phone 2")
     found = differences([*same, other])
     assert [line.split(" differs")[0]
             for line in found] == ["ISO", "exposure time", "focal length", "white balance", "flash", "camera"]
-    assert found[0].startswith("ISO differs: 100 in a.jpg and others, 400 in c.jpg")
-    assert "fired in a.jpg and others, off in c.jpg" in found[4]
+    assert found[0].startswith("ISO differs: 100 in 0.01.jpg and others, 400 in c.jpg")
+    assert "fired in 0.01.jpg and others, off in c.jpg" in found[4]
     many = [saved(tmp_path / f"{i}.jpg", iso=100 + i) for i in range(8)]
     assert "and 3 more" in differences(many)[0]
 

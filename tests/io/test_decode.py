@@ -23,9 +23,11 @@ def decoded(path, error):
     return picture(path, error).pixels
 
 
-def encoded(kind, pixels=PIXELS, **options):
-    data = io.BytesIO()
-    (pixels if isinstance(pixels, Image.Image) else Image.fromarray(pixels)).save(data, kind, **options)
+def encoded(kind, pixels=PIXELS, orientation=1, **options):
+    data, exif = io.BytesIO(), Image.Exif()
+    exif[0x0112] = orientation
+    pixels = pixels if isinstance(pixels, Image.Image) else Image.fromarray(pixels)
+    pixels.save(data, kind, exif=exif, **options)
     return data.getvalue()
 
 
@@ -67,27 +69,21 @@ def test_whole_pictures_are_read_as_opencv_reads_them(kind, tmp_path):
 
 @pytest.mark.parametrize("kind", ["JPEG", "PNG"])
 def test_the_header_alone(kind, tmp_path):
-    exif = Image.Exif()
-    exif[0x0112] = 6
-    (tmp_path / "photo").write_bytes(encoded(kind, exif=exif)[:900])
-    assert header(tmp_path / "photo", CaptureError) == (kind, (48, 64), 6, "RGB", None)
+    (tmp_path / "photo").write_bytes(encoded(kind, orientation=6)[:900])
+    assert header(tmp_path / "photo", CaptureError) == (kind, (48, 64), 6, "RGB", None, 8, False)
 
 
 @pytest.mark.parametrize("orientation", range(1, 9))
 def test_pictures_are_turned_as_pillow_turns_them(orientation):
-    exif = Image.Exif()
-    exif[0x0112] = orientation
-    turned = ImageOps.exif_transpose(Image.open(io.BytesIO(encoded("PNG", exif=exif))))
+    turned = ImageOps.exif_transpose(Image.open(io.BytesIO(encoded("PNG", orientation=orientation))))
     assert np.array_equal(upright(PIXELS, orientation), np.asarray(turned))
 
 
 @pytest.mark.parametrize("orientation", [2, 3, 6])
 @pytest.mark.parametrize("mode", ["P", "1"])
 def test_a_tiff_that_pillow_decodes_is_turned_once(mode, orientation, tmp_path):
-    exif = Image.Exif()
-    exif[0x0112] = orientation
     picture = Image.fromarray(PIXELS).quantize(16) if mode == "P" else Image.fromarray(PIXELS).convert("1")
-    found = read(tmp_path, encoded("TIFF", picture, exif=exif))
+    found = read(tmp_path, encoded("TIFF", picture, orientation))
     about = header(tmp_path / "photo", CaptureError)
     assert np.array_equal(upright(found, about.orientation),
                           upright(np.asarray(picture.convert("RGB")), orientation))
@@ -203,8 +199,9 @@ def test_tiffs_that_store_no_plain_numbers(tmp_path, mode, tags, value, options)
     assert (decoded(tmp_path / "a.tif", CaptureError) == value).all()
 
 
-@pytest.mark.parametrize("bits, stored, values", [  # 15 and 4095 are white
+@pytest.mark.parametrize("bits, stored, values", [  # 15, 1023 and 4095 are white
     (4, "09 9F F9 90", [[0, 153, 153, 255], [255, 153, 153, 0]]),
+    (10, "00 26 69 9B FF FF E6 69 98 00", [[0, 39334, 39334, 65535], [65535, 39334, 39334, 0]]),
     (12, "00 09 99 99 9F FF FF F9 99 99 90 00", [[0, 39321, 39321, 65535], [65535, 39321, 39321, 0]])])
 def test_grey_tiffs_of_other_bits(tmp_path, bits, stored, values):
     entries = [(256, 4, 1, 4), (257, 4, 1, 2), (258, 3, 1, bits), (259, 3, 1, 1), (262, 3, 1, 1),

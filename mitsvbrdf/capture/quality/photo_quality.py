@@ -56,12 +56,13 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, over
         measured: N x R x R, False where photos are made up; None: nowhere.
     """
     shows = torch.ones_like(photos[..., 0], dtype=torch.bool) if measured is None else measured
-    hidden = resized((~shows)[..., None].float(), min(RADIANCE_SIDE, photos.shape[1])) > 0
-    irradiance = geometry(views, min(RADIANCE_SIDE, photos.shape[1]))[-1].mean(dim=-1) / math.pi  # of white
+    side = min(RADIANCE_SIDE, photos.shape[1])
+    hidden = resized((~shows)[..., None].float(), side) > 0
+    irradiance = geometry(views, side)[-1].mean(dim=-1) / math.pi  # of white
     linear, clipped = color.decode(photos, transfer), shows & (photos >= NEARLY_CLIPPED).any(dim=-1)
-    linear = resized(linear, min(RADIANCE_SIDE, photos.shape[1])).masked_fill(hidden, torch.nan)
+    linear = resized(linear, side).masked_fill(hidden, torch.nan)
     luminance = resized(photos, min(DETAIL_SIDE, photos.shape[1])).mean(dim=-1).numpy()
-    unclipped = resized(clipped[..., None].float(), min(RADIANCE_SIDE, photos.shape[1]))[..., 0] == 0
+    unclipped = resized(clipped[..., None].float(), side)[..., 0] == 0
     apparent = torch.log((linear.mean(dim=-1) / irradiance).clamp_min(1e-4))
     beside = apparent - apparent.nanmedian(dim=0).values
     offset = beside.flatten(1).nanmedian(dim=1).values
