@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import matplotlib
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullLocator
 
 from .table import Judged, summary
 
@@ -19,6 +20,11 @@ def plot(groups: Sequence[Judged]) -> Figure:
             axes.fill_between(points["seconds"], points["low"], points["high"], color=line.get_color(),
                               alpha=0.2)
         axes.set(xscale="log", yscale="log", xlabel="seconds of the loop", ylabel="RMSE")
+        for axis in (axes.xaxis, axes.yaxis):
+            low, high = axis.get_data_interval()
+            axis.set_major_locator(LogLocator(subs=(1, 2, 5)) if high > 5 * low else MaxNLocator(5))
+            axis.set_major_formatter("{x:g}")
+            axis.set_minor_locator(NullLocator())
         axes.set_title(group.title.replace(": ", ":\n", 1), fontsize=9)
         axes.legend(fontsize=7)
     return figure
