@@ -74,11 +74,11 @@ def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, refe
     if not 0 <= outliers < 1:
         raise ConfigError("outliers from 0 to less than 1", str(outliers), "give a share, e.g. 0.0025")
     given = (image, variance_or_passes, reference, torch.as_tensor(reference_variance))
-    image, spread, reference, known = (each.double() for each in given)
+    image, spread, reference, known = (each.detach().double() for each in given)
     degrees = math.inf
-    if (image.ndim != 3 or not image.shape == reference.shape == spread.shape[-3:]
+    if (image.ndim != 3 or not image.numel() or not image.shape == reference.shape == spread.shape[-3:]
             or spread.ndim not in (3, 4) or known.ndim and known.shape != image.shape):
-        raise MapsError("image, variances and reference of one shape H x W x C",
+        raise MapsError("image, variances and reference of one shape H x W x C, not empty",
                         " and ".join(str(tuple(each.shape)) for each in given), "compare one view at a time")
     if spread.ndim == 4:
         passes, degrees = spread, len(spread) - 1

@@ -78,7 +78,7 @@ def test_limits_and_scores_against_mpmath(significance):
 
 
 def test_what_is_exactly_equal_or_not_a_number():
-    one, nothing = torch.ones(4, 4, 3), torch.zeros(4, 4, 3)
+    one, nothing = torch.ones(4, 4, 3, requires_grad=True), torch.zeros(4, 4, 3)
     assert z_test(one, nothing, one * (1 + 1e-6)).passed  # no noise, and no more than rounding apart
     assert not z_test(one, nothing, one * 1.001).passed
     assert z_test(nothing, nothing, nothing).passed and not z_test(one, nothing, nothing).passed
