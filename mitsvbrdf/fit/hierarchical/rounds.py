@@ -168,7 +168,7 @@ class Hierarchical(Method[HierarchicalConfig]):
     @property
     def cut_short(self) -> bool:
         """Whether a stage or the cross-validation lacked time."""
-        return self.stages.hurried
+        return self.stages.hurried or self.stages.early
 
     def solve(self) -> Tensor:
         """Solve every texel, then take other starts where they cost less; returns the mean cost."""

@@ -61,7 +61,8 @@ class Stages:
         self.unexplained = torch.full((2,), torch.nan)  # what ALONE left (:func:`unexplained`), once known
         self.detail = torch.tensor(NOISE)  # noise of photos of a phone at full size
         self.sensor = torch.full((3, STEPS), torch.nan)  # brightness, noise as seen last, the least ever seen
-        self.hurried = False
+        self.hurried = False  # whether the present stage lacked time, or the one before it
+        self.early = False  # whether any stage ended before it was finished
         self.last = ROUNDS[Stage.FINE]  # last round of FINE, for real photos
         self.others = True  # whether other starts are worth their time
         self.closing = False  # whether only the last steps are left
@@ -142,6 +143,7 @@ class Stages:
 
     def enter(self, stage: Stage, hurried: bool = False) -> None:
         """Begin a stage, in a hurry or not."""
+        self.early |= not self.finished
         self.hurried = stage == Stage.FINE and (hurried or not self.finished)
         self.stage, self.rounds = stage, 0
 
@@ -172,15 +174,16 @@ class Stages:
 
     def state(self) -> dict[str, Tensor]:
         """Everything :meth:`load_state` needs."""
-        return {"stage": torch.tensor([self.stage, self.rounds, self.hurried, self.last, self.others]),
+        return {"stage": torch.tensor([self.stage, self.rounds, self.hurried, self.last, self.others,
+                                       self.early]),
                 "matte": torch.tensor(self.matte), "noise": self.noise.clone(), "detail": self.detail.clone(),
                 "unexplained": self.unexplained.nan_to_num(-1.0), "sensor": self.sensor.nan_to_num(-1.0)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
         """Go on from a saved state."""
-        stage, self.rounds, hurried, self.last, others = state["stage"].tolist()
+        stage, self.rounds, hurried, self.last, *others = state["stage"].tolist()
         self.stage, self.hurried, self.matte = Stage(stage), bool(hurried), bool(state["matte"])
-        self.others = bool(others)
+        self.others, self.early = map(bool, others)
         self.noise, self.detail = state["noise"].clone(), state["detail"].clone()
         self.unexplained, self.sensor = (torch.where(state[name] < 0, torch.nan, state[name])
                                          for name in ("unexplained", "sensor"))

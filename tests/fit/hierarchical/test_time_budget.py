@@ -267,3 +267,12 @@ def test_the_last_stage_of_real_photos_ends_by_what_its_rounds_tell(exact):
     again = Stages(multi_start=True)
     again.load_state(found.state())
     assert (again.last, again.others) == (found.last, found.others)
+
+
+def test_a_first_stage_that_lacked_time_is_not_forgotten_in_the_next_one(shots):
+    method, again = (method_of(shots, exact=False) for _ in range(2))
+    for stage, rounds in ((Stage.TOGETHER, ROUNDS[Stage.ALONE] - 1), (Stage.FINE, ROUNDS[Stage.TOGETHER])):
+        method.stages.rounds = rounds
+        method.stages.enter(stage)
+    again.stages.load_state(method.stages.state())
+    assert method.cut_short and again.cut_short and not method.stages.hurried
