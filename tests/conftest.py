@@ -50,8 +50,7 @@ def pytest_configure(config: pytest.Config) -> None:
 def data_folder() -> Path:
     """The folder of real captures and known materials (``captures/``, ``materials/``); not in the repository.
 
-    The environment variable MITSVBRDF_DATA names it, else ``../shared/data`` beside the repository is looked
-    at.
+    The environment variable MITSVBRDF_DATA names it, else it is ``../shared/data`` beside the repository.
     """
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     folder = Path(os.environ.get("MITSVBRDF_DATA") or beside)

@@ -1,8 +1,4 @@
-"""An image, the gradients of every map, and the seconds of both: what comparisons measure.
-
-The gradients are those of the inner product of the image and fixed random numbers, so that every renderer is
-asked the same question; :mod:`mitsvbrdf.measure.metrics` says how far two answers are apart.
-"""
+"""An image, the gradients of every map, and the seconds of both: what comparisons measure."""
 
 from dataclasses import dataclass
 

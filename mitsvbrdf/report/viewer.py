@@ -1,6 +1,4 @@
-"""The live viewer of a material: an HTML fragment that shades its maps in WebGL2.
-
-Its formulas are those of ``render/analytic.py``. A point light lights them.
+"""The live viewer: an HTML fragment that shades a material's maps in WebGL2 as ``render/analytic.py`` does.
 
 Maps travel as integers of 12 or 16 bits, high and low bytes apart, deflated, in base64. Eight bits would not
 do: a highlight of roughness 0.1 is 0.01 wide, as wide as 2.5 steps of an 8-bit normal map.

@@ -2,8 +2,7 @@
 
 It has a lens with distortion, vignetting and a principal point off the centre, a flash beside the lens, one
 manual exposure, noise, 8 bits, JPEG and EXIF. It has no colour mosaic, sharpening, noise reduction, local
-tone curve or focus breathing. Its lens follows the model of :mod:`mitsvbrdf.capture.lens`. Errors measured
-on it come from noise, resolution and method, not from a wrong lens model.
+tone curve or focus breathing. Its lens follows the model of :mod:`mitsvbrdf.capture.lens`.
 """
 
 import math

@@ -1,8 +1,7 @@
 """The pytest plugin: two options, and the file of the running test for golden images.
 
 pytest loads it in every project of an environment where this package is installed, so it imports nothing
-heavy. Its entry point has the module's name: pytest then loads it once, whether through the entry point,
-``-p`` or ``pytest_plugins``.
+heavy. Its entry point has the module's name, so that pytest loads it once.
 """
 
 from collections.abc import Generator

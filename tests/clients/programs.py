@@ -1,5 +1,4 @@
-"""Exported materials in the programs that people open them in, under three lights: pictures of linear
-radiance.
+"""Exported materials in the programs that people open them in, under three lights: linear radiance.
 
 Each client draws the patch from :data:`mitsvbrdf.export.residual.HEIGHT` above its centre, one pixel a texel,
 with a point light and nothing else. What is compared with our analytic renderer is all that a client does:

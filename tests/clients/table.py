@@ -1,7 +1,6 @@
 """``python -m clients.table``: clients.json and the pictures of docs/results, from exports in real programs.
 
-Run in ``tests``; folders of fits are further materials beside the made ones. ``python
-docs/results/clients.py`` makes the page.
+Run in ``tests``; FITS are further materials. ``python docs/results/clients.py`` makes the page.
 """
 
 import argparse

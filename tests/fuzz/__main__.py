@@ -1,8 +1,7 @@
 """Runs cases again, or new ones.
 
     PYTHONPATH=tests python -m fuzz FILE...           cases that were kept: what they break, and what was said
-    PYTHONPATH=tests python -m fuzz GROUP|all [N]     the cases of a group that the number N stands for, 0 if
-    left out
+    PYTHONPATH=tests python -m fuzz GROUP|all [N]     the cases of a group for the number N (0)
 """
 
 import os

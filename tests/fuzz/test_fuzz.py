@@ -1,5 +1,4 @@
-"""Whatever an input holds, a command ends with 0, 2 or 130, says so in a line, and touches nothing outside of
-OUT.
+"""Whatever an input holds, a command ends with 0, 2 or 130, says so in a line and touches nothing beside OUT.
 
 A case that fails is kept in a file, which `python -m fuzz FILE` runs again; once mended it goes into
 ``cases/``.

@@ -1,7 +1,6 @@
 """Commands killed at every point of their work on the disk: a script, which forks a process for each point.
 
-    python kill_points.py SHAPE FOLDER      what each point left, and what the next command made of it, as
-    JSON
+    python kill_points.py SHAPE FOLDER      what each point left, what the next command made of it (JSON)
 
 It imports what writes results and nothing that fits, so that a point takes milliseconds.
 """

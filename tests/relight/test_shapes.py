@@ -52,8 +52,7 @@ def camera_rays(stage):
 def matt(position, normal, right, u, v, ray, intensity, light):
     """Lambert's law with the leaning normal and the quarter's colour; where no edge is near.
 
-    Edges are also those where the leaning normal, or the shape's own, begins to face away from camera or
-    light.
+    Edges are also those where the leaning normal, or the shape's own, begins to face away from either.
     """
     up = torch.linalg.cross(normal, right)
     leaning = LEAN[0] * right + LEAN[1] * up + (1 - LEAN.square().sum()).sqrt() * normal

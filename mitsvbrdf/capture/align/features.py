@@ -1,6 +1,4 @@
-"""What photos of a flat material share: SIFT features, and homographies that most of these agree with.
-
-Chains of homographies lead to a common frame.
+"""What photos of a flat material share: SIFT features, and chains of homographies that most agree with.
 
 Source: SIFT by Lowe 1999, 2004; RootSIFT by Arandjelovic and Zisserman 2012; MAGSAC++ by Barath et al. 2020.
 """
