@@ -301,7 +301,7 @@ def measure(lines: Path) -> list:
     records = fitted(["hierarchical"], captures, longer) + fitted(["hierarchical"], known, [LONGEST])
     records += fitted(["direct", "hybrid", "gan"], eight, longer)
     records += fitted(["direct", "hybrid", "gan"], all_captures, BUDGETS[1:])
-    records += fitted(["hierarchical", "gan"], eight, BUDGETS[1:], SEEDS)
+    records += fitted(["hierarchical"], eight, longer[1:], SEEDS[1:])
     return records + measured_peers(eight, records, renderer, lines)
 
 

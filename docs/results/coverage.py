@@ -88,9 +88,8 @@ lobe.
 ## Within one deviation, with look-alikes, by case
 
 Each row is one fit. *F0 own* is the material's; a number replaces it everywhere. Bold: below {NARROW:.0%}. \
-There the stated deviation is too narrow, or the fit is an unlucky draw: texels of one material share much \
-of their error. The specular map of leather at noise 0.01, for one, is off by nearly the same number \
-everywhere, about one deviation.
+There the stated deviation is too narrow, for leather at noise 0.01 with three of four F0. Texels of one \
+material share much of their error, so the share of one fit also varies by chance.
 
 {as_markdown(each)}
 """

@@ -171,7 +171,7 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
             photos, pixels = display(photos), display(pixels)
         photos[row] = pixels
         if found.opaque is not None:
-            hide(photos[row], upright(found.opaque, about.orientation), path)
+            hide(photos[row], upright(found.opaque, about.orientation))
         outside[path.name] = found.outside
     whole = bool(np.isfinite(photos).all())
     pictures, measured = (torch.from_numpy(photos), None) if whole else filled(list(photos))

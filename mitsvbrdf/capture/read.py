@@ -83,7 +83,13 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
     capture = capture if index is None else capture.pick(index)
     transfer, told = used_transfer(transfer or capture.transfer, capture.colours)
     notes = tuple(dict.fromkeys((*capture.notes, *faults, *told)))
-    return _shrunk(capture.but(transfer=transfer, notes=notes), resolution)
+    capture = _shrunk(capture.but(transfer=transfer, notes=notes), resolution)
+    hidden = capture.measured is not None and (~capture.measured.flatten(1).any(dim=1)).nonzero().tolist()
+    if hidden:
+        raise CaptureError("photos with something to see",
+                           f"photo {capture.names[hidden[0][0]]} of {path}, which is masked whole",
+                           "leave it out (--views), mend its alpha, or keep more pixels (--resolution)")
+    return capture
 
 
 def _read(path: Path, resolution: int | None, falloff: Falloff, transfer: color.Transfer | None,
@@ -249,7 +255,7 @@ def _square(photo: Photo, found: Picture, resolution: int | None) -> np.ndarray:
     square = averaged(pixels[middle], min(side, max(MOST_SQUARE, resolution or 0)))
     square = averaged(square, min(len(square), resolution or MOST_SQUARE))
     if found.opaque is not None:
-        hide(square, upright(found.opaque, photo.orientation)[middle], photo.path)
+        hide(square, upright(found.opaque, photo.orientation)[middle])
     return square
 
 

@@ -33,7 +33,7 @@ def in_place(photos: Sequence[Photo]) -> bool:
     """Whether most photos show the pattern where the others do: they are rectified, or from a tripod."""
     small = [cv2.resize(each, (SIDE, SIDE), interpolation=cv2.INTER_AREA) / np.iinfo(each.dtype).max
              for each in (photo.pixels(4 * SIDE) for photo in photos)]
-    own, chance = _squares(_fine(np.stack(small)), [0])
+    own, chance = _squares(_fine(np.stack(small)))
     others = ~np.eye(len(small), dtype=bool)
     told, by_chance = own[..., 0].mean(axis=0, where=others), chance.mean(axis=-1).mean(axis=0, where=others)
     return 2 * int((told > CLEARLY * by_chance).sum()) > len(small)
@@ -50,7 +50,7 @@ def ways(capture: Capture) -> list[int]:
     """The way to lay each photo so that its pattern agrees with those of most; 0 where nothing is clear."""
     if len(capture) < LEAST_PHOTOS or capture.resolution < SIDE:
         return [0] * len(capture)
-    own, chance = _squares(_pattern(capture), range(len(WAYS)))
+    own, chance = _squares(_pattern(capture))
     best = own.argmax(axis=-1)
     alike = max((best[root] == way for root in range(len(best)) for way in range(len(WAYS))),
                 key=lambda group: group.sum())
@@ -102,11 +102,11 @@ def _fine(photos: np.ndarray) -> Tensor:
     return torch.from_numpy(np.tanh(fine / strength / 1.5))
 
 
-def _squares(pattern: Tensor, ways: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
-    """Squared correlations of photo i with photo j laid in W ways, N x N x W; and with shifted photos j."""
+def _squares(pattern: Tensor) -> tuple[np.ndarray, np.ndarray]:
+    """Squared correlations of photo i with photo j laid in each way, N x N x 8; and with shifted photos j."""
     pattern = pattern / pattern.flatten(1).norm(dim=1).clamp_min(1e-9)[:, None, None]
     flat, own, chance = pattern.flatten(1), [], []
-    for way in ways:
+    for way in range(len(WAYS)):
         other = laid(pattern, way)
         own.append(flat @ other.flatten(1).T)
         chance += [flat @ other.roll((round(y * SIDE), round(x * SIDE)), (1, 2)).flatten(1).T

@@ -19,7 +19,7 @@ import torch
 from torch import Tensor
 
 from .. import color
-from ..errors import CaptureError, MitsvbrdfError, warn_of
+from ..errors import MitsvbrdfError, warn_of
 from .colour_profile import is_rec709, to_rec709
 from .decode import check_size, header, picture, upright
 from .files import atomic_write, write_bytes
@@ -193,15 +193,11 @@ def averaged(pixels: np.ndarray, side: int) -> np.ndarray:
     return out
 
 
-def hide(square: np.ndarray, opaque: np.ndarray, path: Path) -> None:
-    """Put NaN where an average of a square photo (S x S) holds a masked pixel. CaptureError: all do."""
+def hide(photo: np.ndarray, shown: np.ndarray) -> None:
+    """Put NaN where an average of a square photo (S x S) holds a masked pixel."""
     import cv2
 
-    masked = cv2.resize((~opaque).astype(np.float32), square.shape[:2], interpolation=cv2.INTER_AREA) > 0
-    if masked.all():
-        raise CaptureError("photos with something to see", f"{path}, of which alpha masks every pixel",
-                           "leave it out (--views), mend its alpha, or keep more pixels (--resolution)")
-    square[masked] = np.nan
+    photo[cv2.resize((~shown).astype(np.float32), photo.shape[:2], interpolation=cv2.INTER_AREA) > 0] = np.nan
 
 
 def write_all(writes: Sequence[Callable[[], T]]) -> list[T]:

@@ -16,7 +16,7 @@ from ..io.decode import header
 from .conversion import FULL_LEVEL, as_shown
 from .encoding import ENCODINGS, read_material_json
 from .maps import CHANNELS, COLOURS, SVBRDF, Bsdf, finite
-from .naming import ALPHA, FIELD, Source, is_of_field, kind_of, named_sources, sources
+from .naming import ALPHA, FIELD, SUFFIXES, Source, is_of_field, kind_of, named_sources, sources
 from .normals import OVERRULE, unit_normals
 from .resample import resized
 
@@ -82,7 +82,7 @@ def find_maps(folder: Path) -> MapSet:
     about = read_material_json(folder)
     pictures = [*{*passed, *(each.path for each in chosen.values() if each.path)}]
     strips = [folder / name for name in STRIPS if "diffuse" not in chosen and (folder / name).is_file()]
-    if len(pictures) == 1:  # whatever its name says, if it is four or five squares
+    if len(pictures) == 1 and pictures[0].suffix.lower() in SUFFIXES[1:7]:  # whatever its name says
         width, height = header(pictures[0], MapsError).size
         strips += pictures if width in (4 * height, 5 * height) else []
     if strips and about.get("bsdf") != "principled":

@@ -138,9 +138,9 @@ def _earlier(found: Fit) -> tuple[list[dict], float | None]:
     """Held-out photos that an earlier page of this folder had."""
     try:
         record = load(found.path / "report.json")
-        photos = [_held_out(f"{int(photo['name']):02d}", float(photo["rmse"])) for photo in record["photos"]
+        photos = [_held_out(f"{int(photo['name']):02d}", photo["rmse"] + 0.0) for photo in record["photos"]
                   if photo["held_out"] is True]
-        error = float(record["held_out_rmse"]) if photos else None
+        error = record["held_out_rmse"] + 0.0 if photos else None
     except (OSError, ValueError, KeyError, TypeError):
         return [], None
     there = all(_there(photo[part], found.path) for photo in photos for part in ("photo", "rerendered"))

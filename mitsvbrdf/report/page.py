@@ -2,7 +2,6 @@
 
 A page computes nothing: it gets numbers that stand in a JSON, and pictures that are made here from tensors.
 Its template stands beside the module that fills it; ``report/base.html`` holds the look that all pages share.
-Jinja2 is loaded with the first page.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """For other people's test suites: renderers that must agree, golden images, and a Z-test for noisy pictures.
 
 A pytest plugin comes along (:mod:`mitsvbrdf.testing.plugin`); ``docs/testing.md`` shows how to use all of it.
-The names below are loaded on first use, so that a suite that needs none of them pays for neither torch nor
-Mitsuba.
+The names below are loaded on first use: a suite without them pays for neither torch nor Mitsuba.
 """
 
 import importlib

@@ -32,7 +32,7 @@ Sharing = Callable[[Scale, Observations, TexelEstimate], TexelEstimate]  # gives
 
 def curved(scale: Scale, answer: TexelEstimate, observed: Callable[[Scale, TexelEstimate], Observations],
            prior: TexelPrior, next_prior: Sharing, renderer: Renderer) -> tuple[Scale, TexelEstimate] | None:
-    """The scale with the curve that explains its photos best, and the answer; None if that saves little.
+    """The scale with the curve at which the search ends, and the answer; None if no round saved much.
 
     The photos of ``scale`` have no curve yet; ``observed`` gives the photos of a round.
     """
