@@ -97,7 +97,7 @@ def test_number_of_samples_is_kept_and_calls_are_independent():
 
     def draw(call, samples):
         calls.append((call, samples))
-        return torch.zeros(4, 4, 3)
+        return torch.full((4, 4, 3), 0.375)
 
     for wanted in (1, 2, 3, 8, 37, 100):
         calls.clear()
@@ -105,7 +105,7 @@ def test_number_of_samples_is_kept_and_calls_are_independent():
         assert found.samples == wanted == sum(count for _, count in calls) and found.stopped == "samples"
         assert [call for call, _ in calls] == list(range(len(calls)))  # no random numbers twice
         assert all(count & (count - 1) == 0 for _, count in calls)  # powers of two: one kernel
-        assert (found.error is None) == (wanted == 1)
+        assert (found.error is None) == (wanted == 1) and not found.error and (found.image == 0.375).all()
     calls.clear()
     render_passes(draw, 64, pixels=SAMPLES_AT_ONCE // 3)  # a large picture: Ctrl-C is looked at in between
     assert {count for _, count in calls} == {2}
