@@ -4,7 +4,6 @@
 
 makes captures in FOLDER/captures, fits them into FOLDER/library while it kills, fits them again undisturbed
 into FOLDER/quiet, compares every map, and prints as JSON what it counted: "chaos" of docs/results/batch.json.
-A test does the same with few captures.
 """
 
 import argparse

@@ -94,3 +94,4 @@ def test_masked_pixels_are_filled_in_and_told(tmp_path, rows, masked, told):
     for place in (tmp_path, path):  # among others, and alone
         with pytest.raises(CaptureError, match="photo 0[02] of .* masked whole"):
             read_capture(place, resolution=8)
+    assert read_capture(tmp_path, 8, [0, 1]).index == (0, 1)
