@@ -61,18 +61,18 @@ def load_tensors(path: Path | str) -> tuple[dict[str, Tensor], dict]:
         if not Path(path).is_file():  # to open a pipe would block
             raise ValueError("no such file")
         with safe_open(str(path), "pt") as file:
-            about = file.metadata()
-            text, stated = about["mitsvbrdf"], about["sha256"]
+            about = file.metadata() or {}
+            text, stated = about.get("mitsvbrdf", ""), about.get("sha256")
             tensors = {key: file.get_tensor(key) for key in file.keys()}
         if _checksum(tensors, text) != stated:
-            raise ValueError("damaged, its checksum is another one")
+            raise ValueError("damaged, or written by another program")
         note = json.loads(text)
         if not isinstance(note, dict):
             raise ValueError("its note is no object")
         return tensors, note
     except (OSError, SafetensorError, KeyError, TypeError, ValueError, RecursionError) as reason:
         raise ConfigError("a whole checkpoint of mitsvbrdf (.safetensors)", f"{path}: {reason}",
-                          "check the path; a damaged one cannot be gone on from") from None
+                          "check the path; a damaged checkpoint cannot be resumed") from None
 
 
 def _checksum(tensors: dict[str, Tensor], text: str) -> str:
@@ -158,7 +158,7 @@ def fingerprints(config: FitConfig, capture: Capture, renderer: Renderer,
 
 
 def digest(*tensors: Tensor) -> str:
-    """SHA-256 of the values of tensors; pixels of 8 or 16 bits are as their display values."""
+    """SHA-256 of the values of tensors; pixels of 8 or 16 bits count as their display values."""
     found = hashlib.sha256()
     for tensor in tensors:
         for rows in tensor.split(BANDED) if tensor.dim() else [tensor]:
@@ -170,6 +170,6 @@ def digest(*tensors: Tensor) -> str:
 def differing(before: object, now: Mapping[str, str]) -> list[str]:
     """Names of the fingerprints that have changed, at most :data:`MOST_NAMED`."""
     if not isinstance(before, dict):
-        return ["all that an earlier version noted"]
+        return ["an earlier version kept no list of them"]
     names = [name for name in dict.fromkeys([*now, *before]) if before.get(name) != now.get(name)]
     return names if len(names) <= MOST_NAMED else [*names[:MOST_NAMED], f"{len(names) - MOST_NAMED} more"]
