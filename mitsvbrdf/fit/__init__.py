@@ -38,18 +38,20 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
         config: which method and its settings. Default: ``HierarchicalConfig()``.
         checkpoint: file (.safetensors) to keep the running state in.
         resume: checkpoint to continue from; bit-equal to an uninterrupted run of the same options on a CPU.
-            A fit that lacked time begins anew where ``budget`` or ``iterations`` is twice what it was.
+            A fit that lacked time begins anew if ``budget`` or ``iterations`` has at least doubled.
         report: called with (trace entry, share done) after each measurement.
         live: called with the state of the fit about once a second, such as
             :class:`mitsvbrdf.report.live.LivePage`. The fit gives identical results without it.
 
     Returns:
         The result with the lowest re-rendering error so far (``hierarchical``, ``gan`` from solved maps: the
-        last result). Ctrl-C ends the fit early and returns the same.
+        last result). Ctrl-C ends the fit early and returns the result so far.
 
     Raises:
         CaptureError: photos whose every pixel is masked.
-        ConfigError: options out of range, or a checkpoint of another fit.
+        ConfigError: options out of range, a checkpoint of another fit, or no finite start.
+        BackendError: Mitsuba, the variant or libLLVM is missing.
+        KeyboardInterrupt: Ctrl-C in a resumed fit that began anew; the earlier result stays.
     """
     config = (config or HierarchicalConfig()).limited(capture.resolution)
     config.check()
@@ -62,7 +64,7 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
         loop.resume(resume)
     stopped = loop.run()
     if loop.anew and stopped == "interrupted":
-        raise KeyboardInterrupt  # the earlier result stays
+        raise KeyboardInterrupt
     method.end()
     return diagnosed(task, loop, stopped, capture.notes)
 
@@ -75,10 +77,12 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
     Args:
         capture: its first photo is used.
         config: of one of the paper's presets; ``iterations`` defaults to the paper's 10,000.
+        checkpoint: file (.safetensors) that gets the weights; ``report`` as in :func:`fit_svbrdf`.
 
     Raises:
-        ConfigError: another preset, or a checkpoint to start from.
+        ConfigError: settings out of range, another preset, or a checkpoint to start from.
     """
+    config.check()
     if not config.of_paper or config.pretrained:
         raise ConfigError("a preset of the paper, from untrained weights",
                           f"preset {config.preset}, pretrained {config.pretrained}",

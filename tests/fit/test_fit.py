@@ -270,16 +270,15 @@ def test_presets_are_the_papers():
         assert (paper.width, paper.learning_rate, paper.discriminator_rate) == (64, 2e-5, 2e-5)
         assert (paper.normal_roughness_steps, paper.pictures, paper.game, paper.guess) == (5, 1, "bce", "min")
         assert paper.grey_specular and paper.falloff == "none" and paper.holds_views
-        assert not paper.flash_offset
-        assert (paper.smooth, paper.adversarial) == (0, 1)
-        assert paper.begins == "untrained"
-        assert not any((paper.paired, paper.grow, paper.features, paper.crop))
+        assert (paper.smooth, paper.adversarial, paper.begins) == (0, 1, "untrained")
+        assert not any((paper.paired, paper.grow, paper.features, paper.crop, paper.flash_offset))
     assert [(round(p.share, 9), p.photos) for p in two.phases(256)] == [(0.4, 1), (0.6, None)]
     assert GanConfig(preset="paper-one-stage", width=8).width == 8  # what is given stays
 
 
 def test_only_the_papers_first_stage_is_pretrained(capture, tmp_path):
     for wrong, said in ((GanConfig(), "preset minutes"),
+                        (GanConfig(preset="paper-one-stage", learning_rate=-1.0), "learning_rate > 0"),
                         (GanConfig(preset="paper-two-stage", pretrained="a.pt"), "a.pt")):
         with pytest.raises(ConfigError, match=said):
             pretrain(capture, ANALYTIC, dataclasses.replace(wrong, iterations=1), tmp_path / "first.pt")
