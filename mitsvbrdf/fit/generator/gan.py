@@ -201,11 +201,9 @@ def make_generator(config: GanConfig, streams: Streams,
     """
     change = config.begins != "untrained"
     with seeded(config.seed):
-        generator: AllPhotosGenerator | TwoStreamGenerator
-        if config.generator == "two-stream":
-            generator = TwoStreamGenerator(streams, config.width, change)
-        else:
-            generator = AllPhotosGenerator(inputs, streams, config.width, change)
+        generator: AllPhotosGenerator | TwoStreamGenerator = (
+            TwoStreamGenerator(streams, config.width, change) if config.generator == "two-stream" else
+            AllPhotosGenerator(inputs, streams, config.width, change))
     if config.pretrained:
         tensors, note = load_tensors(config.pretrained)
         try:

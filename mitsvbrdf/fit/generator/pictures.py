@@ -39,7 +39,7 @@ class PictureSource:
 
     def __init__(self, capture: Capture, crop: int = 0) -> None:
         self.capture, self.crop = capture, crop
-        self.linear = color.decode(capture.photos, capture.transfer)
+        self.linear = capture.linear
         least, highest = torch.zeros_like(self.linear), torch.ones_like(self.linear)
         if capture.measured is not None:
             least, highest = (torch.where(capture.measured[..., None], limit, self.linear)

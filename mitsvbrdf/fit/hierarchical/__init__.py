@@ -1,6 +1,5 @@
-"""The hierarchical fit, and the solver of texels that it is made of."""
+"""The hierarchical fit."""
 
 from .rounds import Hierarchical
-from .solver import Observations, TexelSolver
 
-__all__ = ["Hierarchical", "Observations", "TexelSolver"]
+__all__ = ["Hierarchical"]
