@@ -120,6 +120,7 @@ def views_record(capture: Capture, views: Views, estimated: EstimatedViews | Non
         estimated: how these were estimated from the photos; None where they were stated.
         refined: standard deviations N x 7 of the changes since (:data:`mitsvbrdf.calibrate.refine.CHANGE`).
         flash: standard deviations (x, y) of the flash offset that all photos share, where it was fitted.
+        light_power_factor: by which the maps changed the light power; None where they did not.
     """
     sides, begun = views.in_patch_sides(), capture.views.in_patch_sides()
     told = [ESTIMATED.unpack(estimated.deviation)] if estimated else []
@@ -151,12 +152,12 @@ def about_views(calibration: Mapping) -> str:
         x, y, z = (statistics.median(place) for place in zip(*calibration["camera_sd"].values()))
         exposure = math.exp(statistics.median(calibration["log_exposure_sd"].values())) - 1
         said += (f" Standard deviations (median, in patch sides): cameras ({x:.3f}, {y:.3f}, {z:.3f}), "
-                 f"light of a photo beside the others {exposure:.1%}")
+                 f"light of a photo relative to the others {exposure:.1%}")
         if calibration.get("flash_offset_sd"):
             said += ", flash offset ({:.3f}, {:.3f})".format(*calibration["flash_offset_sd"])
-        said += "; they count what the photos tell, not what the model lacks."
+        said += "; they include what the photos leave open, not errors of the model."
     if calibration.get("log_power_sd"):
         said += (" The light power of all photos is known to a factor of "
                  f"{math.exp(calibration['log_power_sd']):.1f}, and "
-                 "so are the diffuse and the specular map: it is what makes the material a usual one.")
+                 "so are the diffuse and the specular map: it was chosen so that F0 and albedo are usual.")
     return said

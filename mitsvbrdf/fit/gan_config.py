@@ -70,7 +70,7 @@ class GanConfig(FitConfig):
     generator: GeneratorKind = AS_PRESET
     """all-photos: ours. two-stream: the paper's, sees one photo."""
     start: Start | None = AS_PRESET
-    """solved: the default method's maps; guess: default if a setting below is changed; untrained: paper's."""
+    """solved: the default method's maps; guess: default if e.g. --width is changed; untrained: paper's."""
     width: int = AS_PRESET
     """Channels of the first convolution of both networks."""
     learning_rate: float = AS_PRESET

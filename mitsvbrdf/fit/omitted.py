@@ -13,10 +13,10 @@ from .posterior import step_of
 from .task import FitTask
 
 # Reasons, for methods that solve every texel by itself.
-_NO_GENERATOR = ("each texel is solved by itself, and at equal time that errs less in the maps: "
+_NO_GENERATOR = ("each texel is solved by itself, which gives smaller errors of the maps at equal time: "
                  "docs/results/benchmark.md")
-TOO_LITTLE = f"fewer than {FEWEST} photos, or {PATCH} pixels a side: too little to hold out"
-_LOOKS = "texels are means over the looks of the photo"
+TOO_LITTLE = f"fewer than {FEWEST} photos, or than {PATCH} pixels a side: too few to hold some out"
+_LOOKS = "texels are means over look classes of the photo"
 _NO_DISCRIMINATOR = "there is no generator to teach: each pixel's error says what to change"
 
 
@@ -30,8 +30,8 @@ def omitted_by(task: FitTask, views: Views | None = None) -> list[Omitted]:
     items = list(scene_needs(material, views or task.capture.views, task.renderer.name).omitted)
     items += [Omitted(f"gradient of {name}", why) for name, why in described(config.fix).items()]
     if (step := step_of(task.capture.resolution)) > 1:
-        items.append(Omitted(f"the open valley of more than one texel in {step} a side",
-                             "deviations between are its texels' own, times what the valley adds nearby"))
+        items.append(Omitted(f"the likelihood profile of more than one texel in {step} a side",
+                             "other deviations are by curvature, times what the profiles nearby add"))
     if "diffuse" in task.fixed:
         items.append(Omitted("guessed diffuse map", "diffuse held fixed"))
     items += [Omitted(losses.NAMES[name], why) for name, why in task.unused.items()]

@@ -30,13 +30,13 @@ class Repeats(NamedTuple):
 
     def said(self) -> str:
         """The sentence for users."""
-        found = f"{self.between:.0%} of how its lightness varies lies between sixteenths of the photo"
+        found = f"{self.between:.0%} of the variance of lightness ranks lies between sixteenths of the photo"
         found += (f", which differ by {self.contrast:.0%}" if self.contrast <= CONTRAST else
                   f" ({BETWEEN:.0%} or less counts as a pattern that repeats itself)")
         found = "as asked for" if self.asked else found
         if self.stationary:
             return (f"one photo, taken for that of a material that repeats itself: {found}; specular, "
-                    "roughness and normals are those of its looks, hardly any texel's own")
+                    "roughness and normals are those of classes of texels that look alike")
         return f"one photo, not taken for that of a material that repeats itself: {found}; {HARDLY_TOLD}"
 
 
@@ -55,7 +55,7 @@ def repeats(capture: Capture, asked: bool | None = None) -> Repeats:
 
 
 def _uneven(capture: Capture, shift: Tensor) -> tuple[float, float]:
-    """Share of the variance of ranks between blocks; difference of blocks; with the flash moved (sides)."""
+    """Share of the variance of ranks between blocks, and their contrast, with the flash moved (sides)."""
     light, side = capture.linear[0].mean(dim=-1).flatten(), capture.resolution
     rank, beside = torch.empty_like(light), torch.empty_like(light)
     half = half_angles(capture.views.carried(shift * capture.views.size), side)[0].flatten()

@@ -15,7 +15,7 @@ from .fixed_maps import described
 from .repeats import HARDLY_TOLD
 from .result import Fit
 
-# Behind each number, what twelve real captures of nine photos had (`hybrid` and `direct`, 64 px).
+# Comments beside the numbers: values of twelve real captures of nine photos (`hybrid`, `direct`, 64 px).
 MUCH_CLIPPED = 0.05  # of the pixels; eleven had up to 0.015, one 0.08
 ALIKE = 2 / 255  # display values, root mean square
 DARK = 8 / 255  # display values, median
@@ -23,7 +23,7 @@ GAIN = 1.25  # photos over re-rendering, or the other way round; 0.93 to 1.01
 USABLE = 0.1  # share of the pixels that must be neither dark nor clipped, to speak of a gain
 # diffuse albedo, and the share of texels that may have it; ten had 0, two 0.3 and more
 WHITE, WHITE_SHARE = 0.97, 0.1
-WHITENS = {"diffuse", "base_color"}  # maps that make it white: where one is given, the light is not in doubt
+WHITENS = {"diffuse", "base_color"}  # where one of these maps is fixed, white tells nothing of the light
 FAINT = 0.015  # F0, median; eleven had 0.0156 and more, one 0.013. Water has 0.02, and nothing known less
 # Median F0 above a usual non-metal's, and the share of determined texels needed to believe it; of eighteen
 # fits to seven photos one had 0.31 with a fifth determined, the others 0.1 and less, or were determined.
@@ -34,8 +34,8 @@ LOOKED_AT = 512  # px a side at which the photos themselves are checked
 SAMPLED = 256  # px a side at which gains are checked
 COARSE = 64  # px at which photos are compared; the closest two of the eighteen are 4.6 / 255 apart
 UNSETTLED = "the fit ended before it had settled: give more seconds or iterations"
-MIXED = ("every pixel of the photos follows the model, and their averages at {} px do not, so maps are off "
-         "by more than is stated: fit the photos at their full size (--resolution)")
+MIXED = ("single pixels of the photos follow the model, but their averages at {} px do not, so maps are off "
+         "by more than their deviations: fit the photos at their full size (--resolution)")
 WORSE = 2.5  # times the median error of a photo; 1.1 to 2.3
 POOR = 0.1  # re-rendering RMSE
 BURNT_IN = 0.3  # share of a map that lies as the highlights do; ten had up to 0.18, two of wood 0.4 to 0.74
@@ -98,11 +98,10 @@ def _twice(capture: Capture) -> Iterator[str]:
 
 def _light(result: Fit, capture: Capture) -> Iterator[str]:
     small = capture.sampled(min(SAMPLED, capture.resolution))
-    photos = small.linear
     images = result.known["sample"]
     usable = small.usable & (small.photos > DARK) & (images > 0)
     if float(usable.float().mean()) > USABLE:
-        gain = float((photos[usable] / images[usable]).median())
+        gain = float((small.linear[usable] / images[usable]).median())
         if not 1 / GAIN < gain < GAIN:
             how, times = ("darker", gain) if gain > 1 else ("brighter", 1 / gain)
             yield (f"the re-rendering is {how} than the photos by {times:.2g}x: light power or "
@@ -126,18 +125,18 @@ def _implausible(result: Fit, shown: Tensor) -> Iterator[str]:
         unsure = shown & (of_texels(spread) >= DETERMINED)
         level, share = float(material["specular"].median()), 1 - float(unsure[shown].float().mean())
         if level > STRONG and share < HARDLY:
-            yield (f"median specular (F0) of {level:.2g}, {share:.0%} of it determined: a metal's, or a "
-                   f"guess. Add a photo with its highlight {_place(unsure)}, or --fix specular=0.04 where it "
-                   "is no metal")
+            yield (f"median specular (F0) of {level:.2g}, {share:.0%} of it determined: a metal, or "
+                   f"a guess. Add a photo with its highlight {_place(unsure)}, or use --fix specular=0.04 if "
+                   "the material is no metal")
     if not {"specular", *WHITENS} & set(fixed):
         above = (material["diffuse"] + material["specular"]).amax(dim=-1) > 1
         more, white = float(above.float().mean()), above & (material["diffuse"].amax(dim=-1) > WHITE)
         if white.any() and more <= MORE_SHARE:
             yield (f"single texels ({int(white.sum())}) are white in the diffuse map and reflect more than "
-                   "arrives: they are wrong, as those of metal are now and then")
+                   "arrives: they are wrong, which happens on metal")
         if more > MORE_SHARE:
             yield (f"{more:.0%} of the texels reflect more than arrives (diffuse + specular above 1): the "
-                   "light may be stronger than stated, or try --fix specular=0.04 where it is no metal")
+                   "light may be stronger than stated; if the material is no metal, try --fix specular=0.04")
 
 
 def _place(mask: Tensor) -> str:
@@ -150,7 +149,7 @@ def _place(mask: Tensor) -> str:
 
 def _errors(result: Fit, capture: Capture) -> Iterator[str]:
     if result.rerender_rmse > POOR:
-        yield (f"the photos are only met to {result.rerender_rmse:.2g}: fit longer, or check views, "
+        yield (f"the re-rendering RMSE of {result.rerender_rmse:.2g} is high: fit longer, or check views, "
                "light and transfer function")
     if len(capture) > 2:
         typical = statistics.median(result.per_photo)
@@ -164,8 +163,8 @@ def _burnt_in(result: Fit) -> Iterator[str]:
     fixed = described(result.config.fix)
     for name, share in burn_in(result.svbrdf, result.views).items():
         if share > BURNT_IN and name not in fixed:
-            yield (f"{share:.0%} of the {name} map lies as the photos' highlights do: it may be theirs, "
-                   "not the material's")
+            yield (f"{share:.0%} of the variance of the {name} map follows the photos' highlights: this "
+                   "pattern may be theirs, not the material's")
     for name, share in local_burn_in(result.svbrdf, result.views).items():
         # with fewer texels, chance alone gives such shares
         if share > OVALS and name not in fixed and result.svbrdf.resolution >= LOCAL_SIDE:
@@ -174,9 +173,9 @@ def _burnt_in(result: Fit) -> Iterator[str]:
 
 
 def _cut_short(result: Fit) -> Iterator[str]:
-    """Whether the fit ended too early; the schedules of other methods end with their budget."""
+    """The warning of a fit that ended too early; the schedules of other methods end with their budget."""
     if result.trace[-1]["iteration"] == 0:
-        yield "no step was made, so the maps are where the fit starts: give more seconds"
+        yield "no step was made, so the maps are the start of the fit: give more seconds"
     elif isinstance(result.config, HierarchicalConfig) and result.stopped in ("budget", "iterations",
                                                                               "interrupted"):
         yield UNSETTLED

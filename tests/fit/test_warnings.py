@@ -33,7 +33,7 @@ def test_a_photo_from_elsewhere_is_named(leather):
 
 @pytest.mark.parametrize("change, words", [({"sample": 4.0}, "darker than the photos by 4x"),
     ({"sample": 0.25}, "brighter than the photos by 4x"),
-    ({"rerender_rmse": 0.2}, "only met to 0.2"), ({"stopped": "unstable"}, "ended early"),
+    ({"rerender_rmse": 0.2}, "RMSE of 0.2 is high"), ({"stopped": "unstable"}, "ended early"),
     ({"undone": ({"iteration": 30, "reason": "flat not finite"},)}, "1 step undone; the first at iteration "
                                                                     "30: flat not"),
     ({"trace": [{"iteration": 0, "seconds": 0.0, "rerender_rmse": 0.1}]}, "no step was made")])
@@ -57,7 +57,7 @@ def test_roughness_that_lies_as_the_highlights_do(fix, count, fitted, leather):
     burnt = SVBRDF("roughconductor", dict(fitted.svbrdf.maps) | {"roughness": follows})
     found = fitted.but(svbrdf=burnt, config=dataclasses.replace(fitted.config, fix=fix))
     warnings = list(fit_warnings(found, leather))
-    assert len(warnings) == count and all("100% of the roughness map lies as" in warning
+    assert len(warnings) == count and all("100% of the variance of the roughness" in warning
                                           for warning in warnings)
 
 

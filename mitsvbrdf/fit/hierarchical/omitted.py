@@ -11,7 +11,7 @@ TIED, MULTI_START = "tied stage", "multi-start"
 VIEWS, CROSS_VALIDATION = "view refinement", "cross-validation"
 LOBE = "search for a specular lobe"
 FOLLOW = "the photos follow the model"
-MATTE = f"no block of texels needs a lobe, and one of {WEAK:g} would show"
+MATTE = f"no block of texels needs a lobe, and a lobe of specular {WEAK:g} would show"
 
 
 def decided_later(task: FitTask[HierarchicalConfig]) -> list[Omitted]:
@@ -23,7 +23,7 @@ def decided_later(task: FitTask[HierarchicalConfig]) -> list[Omitted]:
     else:
         told = [(True, TIED, f"if {below}"), (lobe, LOBE, f"if {below}; {MATTE}"),
                 (anew, MULTI_START, f"unless {below}" + (", and without a lobe" if lobe else "")),
-                (task.refined == "unless exact", VIEWS, f"if {below}, and so do the stated views"),
+                (task.refined == "unless exact", VIEWS, f"if {below} with the stated views"),
                 (_may_cross_validate(task), CROSS_VALIDATION, f"if {below}, or where time is short")]
     return [Omitted(what, why) for holds, what, why in told if holds]
 

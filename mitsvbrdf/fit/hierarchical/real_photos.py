@@ -82,9 +82,9 @@ class RealPhotos:
         """The capture with the response curve that its photos ask for, and a note; unchanged without one."""
         if self.curve is None or capture.transfer == self.curve.behind(capture.transfer):
             return capture
-        told = (f"held-out photos ask for a response curve, which is used: gamma {self.curve.gamma:.2f}, "
-                f"shoulder {self.curve.shoulder:.2f} behind {capture.transfer}; how bright colours are "
-                "depends on it, which their deviations do not count")
+        told = ("the fit uses a response curve, with which it predicts held-out photos better: gamma "
+                f"{self.curve.gamma:.2f}, shoulder {self.curve.shoulder:.2f} behind {capture.transfer}; the "
+                "brightness of colours depends on it, and their deviations do not include that")
         return capture.but(transfer=self.curve.behind(capture.transfer), notes=(*capture.notes, told))
 
     def _held_out(self, tied: TexelEstimate, scale: Scale) -> dict[int, TexelEstimate]:
