@@ -7,8 +7,8 @@ edge of the distribution has a large d. Errors that all photos share, such as in
 
 A texel whose photos refuse its answer does not count as determined, whatever its look-alikes say.
 
-The valley of equally good numbers is followed for every k-th texel. The deviation of each texel is the one by
-the curvature at its own photos, times the factor that the valley adds nearby.
+The valley of equally good numbers is followed for every k-th texel. Every texel has a deviation by the
+curvature of its own photos' cost. It is multiplied by the valley's deviation over that by curvature nearby.
 
 Numbers are those in which errors are counted (docs/conventions.md). Each has a range of 1. A number that no
 photo tells has the deviation of a uniform distribution, 1 / sqrt(12).
@@ -152,9 +152,9 @@ def shown_texels(capture: Capture) -> Tensor:
 
 def confidence(alone: Mapping[str, Tensor], alike: Mapping[str, Tensor],
                shown: Tensor) -> dict[str, dict[str, float]]:
-    """By map ``median_sd``, ``determined_share`` (sd below 0.1), the median ``with_look_alikes`` if known.
+    """By map: ``median_sd``, ``determined_share`` (of texels with sd below 0.1), median ``with_look_alikes``.
 
-    All are of the texels in the mask ``shown``, r x r.
+    All are of the texels in the mask ``shown``, r x r. The last one is missing if nothing is shared.
     """
     found = {}
     for name, value in alone.items():

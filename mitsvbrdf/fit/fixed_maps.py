@@ -75,7 +75,7 @@ def named_files(fix: Sequence[str]) -> list[str]:
 
 
 def absolute_files(fix: Sequence[str]) -> tuple[str, ...]:
-    """The same, with the absolute path of each file."""
+    """The items of ``--fix``, with the absolute path of each file."""
     there = {item: f"{item.partition('=')[0]}={os.path.abspath(item.partition('=')[2])}" for item in fix
              if named_files([item])}
     return tuple(there.get(item, item) for item in fix)

@@ -15,7 +15,7 @@ from ..material.maps import DIELECTRIC_F0, SVBRDF, WHITEST
 from .confidence import DETERMINED, of_texels
 
 METAL = 0.2  # F0 from which on a texel is no dielectric
-MOST_TEXELS = 0.5  # least share of the texels that must tell the power
+TELLING = 0.5  # least share of the texels that must tell the power
 
 
 def light_power_told(svbrdf: SVBRDF, deviations: Mapping[str, Tensor], shown: Tensor) -> float | None:
@@ -28,11 +28,11 @@ def light_power_told(svbrdf: SVBRDF, deviations: Mapping[str, Tensor], shown: Te
     sure = of_texels(deviations["specular"])
     level = svbrdf.resized(sure.shape[0])["specular"].mean(dim=-1)
     told = shown & (sure < DETERMINED) & (level > 0) & (level < METAL)  # a texel without a lobe tells nothing
-    if float(told[shown].float().mean()) < MOST_TEXELS:
+    if float(told[shown].float().mean()) < TELLING:
         return None
     factor = float(level[told].median()) / DIELECTRIC_F0
     white = float(np.quantile(svbrdf["diffuse"].amax(dim=-1).numpy(), 0.99)) / WHITEST
-    return max(factor, min(white, 1.0))
+    return max(factor, min(white, 1.0))  # weaker light does not make the diffuse map whiter than WHITEST
 
 
 def with_light_power(svbrdf: SVBRDF, factor: float) -> SVBRDF:

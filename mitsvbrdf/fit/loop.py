@@ -113,7 +113,7 @@ class Loop:
 
     def _checked(self, good: dict[str, Tensor], losses: dict[str, float], whole: bool = False
                  ) -> tuple[dict[str, Tensor], dict[str, float], Seen]:
-        """The present state, its losses and its look; if not finite, those of ``good``, without losses."""
+        """The present state, its losses and its error; if not finite, those of ``good``, without losses."""
         if not isinstance(seen := self._look(whole), str):
             return self.method.state(), losses, seen
         good = self._undo(good, seen)

@@ -60,7 +60,7 @@ class Method(ABC, Trained, Generic[Config]):
                                                              self.capture.linear.to(rendered))
 
     def summed(self, own: Mapping[str, Callable[[], Tensor]]) -> tuple[Tensor, dict[str, float]]:
-        """The weighted sum of those losses that are not unused, and the value of each."""
+        """The weighted sum of the losses that are computed, and the value of each."""
         terms = {name: loss() for name, loss in own.items() if name not in self.unused}
         return (losses.weighted(terms, self.config.weights),
                 {name: float(value.detach()) for name, value in terms.items()})
@@ -108,7 +108,7 @@ class Method(ABC, Trained, Generic[Config]):
 def descend(total: Tensor, *optimizers: torch.optim.Optimizer) -> float:
     """One step of each optimiser down the gradient of ``total``, unless that gradient is not finite.
 
-    Gives 0, or NaN where no step was made; a NaN that is logged as a loss makes the loop undo.
+    Gives 0, or NaN where no step was made. The loop takes a step back whose losses contain NaN.
     """
     for optimizer in optimizers:
         optimizer.zero_grad(set_to_none=True)

@@ -17,9 +17,9 @@ from .methods import METHODS, method_name
 
 PREDICTED = 9  # held-out photos that the page of a fit shows at once; `report --capture` shows all
 
+# Settings of earlier fits, whose fit.json is still read: former names, and settings that are gone.
 FORMER = {"own": "detail_spread", "tails": "highlight_reach", "likeness": "similarity",
           "independent": "remove_burn_in", "rivals": "multi_start"}
-# settings of earlier fits, whose fit.json is still read
 GONE = ("guessed_normal", "highlight_aware", "kl", "average", "fresh_pictures", "integrated",
         "marginalise", "precision")
 
@@ -74,14 +74,14 @@ class FitOptions:
         return DetailConfig(steps=self.detail_steps, seed=config.seed) if self.detail == "gan" else None
 
     def chosen(self, photos: Capture) -> tuple[Capture, Capture | None]:
-        """The photos to fit; and, as stated, these with held-out ones, which the page predicts, or None."""
+        """The photos to fit; and these with held-out photos for the page, as stated, or None without any."""
         numbers = photo_numbers(self.views)
         shots = self.reading.of(photos if numbers is None else photos.pick(numbers))
         unused = [number for number in photos.index if number not in shots.index][:PREDICTED]
         return shots, photos.pick(sorted({*shots.index, *unused})) if unused else None
 
     def record(self, shots: Capture) -> dict:
-        """What ``fit.json`` keeps of them; the falloff is that of the photos' views."""
+        """What ``fit.json`` keeps of the options; the falloff is that of the photos' views."""
         kept = ("renderer", "resolution", "views", "transfer", "variant", "detail", "axes", "side",
                 "light_factor")
         return {name: getattr(self, name) for name in kept} | {"falloff": shots.views.falloff}

@@ -1,14 +1,14 @@
 """What the photos leave open of each texel: mixtures of normal distributions.
 
 Roughness moves both ways, in growing steps, from the numbers that explain a texel's own photos best; at each
-step the solver finds the other numbers again. So it follows the valley where specular and roughness trade (a
-tail of GGX shows only F0 alpha^2). At a step the other numbers are normal (Gauss-Newton), and the step weighs
-exp(-chi^2 / 2): a profile likelihood needs no prior. At a clipped value, only a rendering that is too dark
-counts. The noise is the error of equally bright pixels, and of this texel's pixels.
+step the solver finds the other numbers again. The steps follow the valley where specular and roughness trade
+(a tail of GGX shows only F0 alpha^2). At a step the other numbers are normal (Gauss-Newton), and the step
+weighs exp(-chi^2 / 2): a profile likelihood needs no prior. At a clipped value, only a rendering that is too
+dark counts. The noise is the error of equally bright pixels, scaled to the errors of the texel's own pixels.
 
 Look-alikes, where the fit uses them, give each basis material a mean and a deviation of its shared numbers
-(expectation-maximisation). These are known only as well as one texel a photo tells, since texels under one
-light err alike. For a share of the texels, the strangers, only their own photos count.
+(expectation-maximisation). These are only as certain as one texel for each photo makes them, since texels
+under one light err alike. For a share of the texels, the strangers, only their own photos count.
 """
 
 import math

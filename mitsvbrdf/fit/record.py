@@ -26,8 +26,7 @@ _SHAPE = {"method": str, "renderer": str, "bsdf": str, "rerender_rmse": NUMBER, 
 _KNOWN = {"views": {"size": NUMBER, "falloff": str, "camera": [[NUMBER]], "light": [[NUMBER]],
               "intensity": [[NUMBER]]},
     "flash_offset": dict | None, "capture": {"name": str | None, "photos": [int], "transfer": str}}
-# where they are there
-_BESIDE = {"calibration": dict, "variant": str | None, "detail": dict}
+_BESIDE = {"calibration": dict, "variant": str | None, "detail": dict}  # fields that may be missing
 # What the page says of the views.
 FROM = {"given": "The views are those of the capture's calibration",
         "sheet": "The views come from a sheet of tags",

@@ -56,7 +56,7 @@ class Fit:
     rerender_rmse = Fact[float]()
     """Error of the re-rendered photos, in display values clipped to [0, 1]."""
     calibrated_rmse = Fact[float | None](None)
-    """The same error in stated views with the flash offset; None if these are ``views`` or none is stated."""
+    """The same error in stated views with the flash offset; None if ``views`` are these or none is stated."""
     calibration = Fact[dict]({})
     """What is known of the views and how surely; see :func:`mitsvbrdf.fit.diagnose.views_record`."""
     detail_record = Fact[dict | None](None, "detail")
@@ -74,7 +74,7 @@ class Fit:
 
     @staticmethod
     def load(folder: str | Path) -> Fit:
-        """A whole fit from its folder, the OUT of a fit. MapsError: it is none, or not a whole one."""
+        """A whole fit from its folder, the OUT of a fit. MapsError: the folder has no whole fit."""
         folder = Path(folder)
         if not (folder / FILE).is_file():
             raise MapsError("the OUT of `mitsvbrdf fit`", f"{folder}, which has no {FILE}", "check the path")

@@ -32,7 +32,7 @@ class FitTask(Generic[Config]):
     renderer: Renderer  # carries the gradients and draws the comparison
     config: Config  # which method, and its settings
     own_guess: Tensor | None = None  # guessed diffuse map, R x R x 3 linear; None makes it of the photos
-    estimated: EstimatedViews | None = None  # views from the photos; None where stated, or the default
+    estimated: EstimatedViews | None = None  # from the photos; None if the views are stated or a default
     light_doubted: bool = False  # whether photos contradict the stated light power
 
     @cached_property
@@ -75,7 +75,7 @@ class FitTask(Generic[Config]):
 
     @property
     def of_looks(self) -> bool:
-        """Whether it is one photo of a material that repeats itself."""
+        """Whether the capture is one photo of a material that repeats itself."""
         return self.repeats is not None and self.repeats.stationary
 
     @cached_property
@@ -116,7 +116,7 @@ class FitTask(Generic[Config]):
 def fit_task(capture: Capture, renderer: Renderer, config: Config) -> FitTask[Config]:
     """The task of a fit, with views estimated if the capture has none and the method moves them.
 
-    Masked pixels are replaced by the mean of the photos that show them, since networks see the photos alone.
+    Masked pixels are replaced by the mean of the photos that show them, because networks do not see the mask.
     """
     if (measured := capture.measured) is not None:
         shown = torch.where(measured[..., None], capture.photos, torch.nan)

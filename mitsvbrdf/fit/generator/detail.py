@@ -49,7 +49,7 @@ def with_detail(result: Fit, capture: Capture, renderer: Renderer, config: Detai
     """A fit with plausible detail beside its maps, which stay the same; ``capture`` holds its photos.
 
     The fit returned is a copy with ``detail`` and ``detail_record``. After Ctrl-C, and where :func:`why_not`
-    gives a reason, it is the fit given. ConfigError: settings out of range.
+    gives a reason, the given fit is returned. ConfigError: settings out of range.
     """
     config = config or DetailConfig()
     config.check()

@@ -1,4 +1,4 @@
-"""Small symmetric systems in registers: entries are Dr.Jit values, and those that are always 0 are left out.
+"""Small symmetric systems in registers: entries are Dr.Jit values, and those that are always 0 are omitted.
 
 A matrix is a dictionary (i, j) -> value of its lower triangle, i >= j. Every loop here runs while a kernel is
 traced.

@@ -56,7 +56,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         BackendError: Mitsuba, the variant or libLLVM is missing.
     """
 
-    measured_every = 6  # rounds; 1 for exact photos at full size: a sample suffices and keeps no older planes
+    measured_every = 6  # rounds; 1 for exact photos at full size: samples are quick, and no older planes stay
     latest_is_best = True  # maps with burnt-in highlights would explain the photos seen best
 
     def __init__(self, task: FitTask[HierarchicalConfig]) -> None:
@@ -145,7 +145,7 @@ class Hierarchical(Method[HierarchicalConfig]):
                            make_renderer("mitsuba", self.variant))
 
     def averages_mix(self) -> bool:
-        """Whether single pixels of shrunk photos follow the model, and their averages less (takes a fit)."""
+        """Whether single pixels of shrunk photos follow the model and averages do not; makes a coarse fit."""
         pixels = self.task.capture.of_single()
         if pixels is None or not self.stages.known:
             return False
@@ -229,8 +229,8 @@ class Hierarchical(Method[HierarchicalConfig]):
                                         self.engine)
 
     def estimate(self) -> tuple[SVBRDF, Views]:
-        """The present maps at full size; tied texels get the freedom that they have in the last stage, and at
-        the end, free ones that are still coarse take steps at full size.
+        """The present maps at full size. Tied texels get the freedom that they have in the last stage. At the
+        end, free texels that are still coarse take steps at full size.
         """
         x, full = self.answer.x, self.capture.resolution
         if self.stages.tied:

@@ -39,7 +39,7 @@ def appearance_of(capture: Capture, guess: Tensor) -> Tensor:
     """What a texel looks like whatever the light: M x 5, about 0 to 0.5 each.
 
     Chroma / 4 and lightness / 2 of its mean apparent albedo (falloff and cosine undone), and lightness / 2 of
-    the guess. The mean leaves out the darkest and the brightest quarter of the photos, which hold shadows and
+    the guess. The mean omits the darkest and the brightest quarter of the photos, which hold shadows and
     highlights.
 
     Args:
@@ -112,14 +112,14 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
         names: the map of each of the S numbers.
         x: posterior means, S x M.
         variance: posterior variances, S x M.
-        prior_mean: of the prior that these had, S x M.
-        prior_precision: the same.
+        prior_mean: mean of the prior that led to these, S x M.
+        prior_precision: its precision (1 / variance), S x M.
         members: gives M x K, of :func:`membership`, in parts of :data:`STRIP` texels.
         spread: S, tau over all so far.
-        photos: their number if they follow the model; 0: :data:`TYPICAL` does not count. It decides where the
-            photos leave a whole material open, such as a broad lobe that looks diffuse. It counts once for a
-            basis material, whose texels together count as many as there are photos: texels that the same
-            photos light err alike. With photos that do not follow the model, it would outweigh highlights.
+        photos: their number if they follow the model; 0: :data:`TYPICAL` does not count. TYPICAL decides
+            where the photos leave a whole material open, such as a broad lobe that looks diffuse. It counts
+            as one texel, and all texels of a basis material as ``photos`` texels: texels that the same photos
+            light err alike. With photos that do not follow the model, TYPICAL would outweigh highlights.
     """
     def alone() -> Iterator[tuple[Tensor, Tensor, Tensor]]:
         """In parts: membership, precision of the photos alone, and what they say."""
@@ -130,8 +130,7 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
             yield member, precision, torch.minimum(torch.maximum(told, mean - FARTHEST),
                                                    mean + FARTHEST).clamp(0, 1)
 
-    usual, rare = torch.tensor([TYPICAL.get(name, UNKNOWN) if photos else UNKNOWN for name in names]).T[...,
-                                                                                                        None]
+    usual, rare = torch.tensor([(TYPICAL if photos else {}).get(n, UNKNOWN) for n in names]).T[..., None]
     count = sum((member.sum(dim=0) for member in members()), torch.zeros(()))
     vague = (count / max(photos, 1)).clamp_min(1) / rare.square()
     each: Tensor | None = None  # tau^2 of the basis materials, S x K

@@ -43,7 +43,7 @@ EXACT = 0.006
 NOISE = 0.03
 LEAST_NOISE = 0.004  # of any photo: one step of 8 bits
 UNTOLD = 1.5  # assumed noise, in multiples of the RMSE that a fit with so many unknowns leaves
-# Factor of the noise, a round. It starts at NOISE, so that no texel is caught early by a wrong highlight.
+# Factor of the noise a round. Noise starts at NOISE, so that no texel is caught early by a wrong highlight.
 EASED = 0.75
 
 

@@ -34,7 +34,7 @@ class TexelEstimate(NamedTuple):
 
     Args:
         x: the unknowns, U x R x R.
-        mean: of the prior, U x R x R; with lobes, the coarse texel with its diffuse mean, 1 x R x R, 16 bits.
+        mean: of the prior, U x R x R; with lobes, the coarse texel with the diffuse mean, 1 x R x R, 16 bits.
         precision: of the prior, U x R x R; with lobes, the precision of slopes alone, 1 x R x R.
         spread: standard deviation of the shared unknowns around those of look-alikes, S.
         lobe: which of the shared lobes texels have, 8 bits, R x R; empty where they have none.

@@ -1,4 +1,4 @@
-"""How far camera and flash stood from where the views say."""
+"""How far camera and flash stood from their places in the stated views."""
 
 from dataclasses import replace
 
