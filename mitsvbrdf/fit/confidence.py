@@ -7,8 +7,8 @@ edge of the distribution has a large d. Errors that all photos share, such as in
 
 A texel whose photos refuse its answer does not count as determined, whatever its look-alikes say.
 
-The valley of equally good numbers is followed for every k-th texel. Every texel has a deviation by the
-curvature of its own photos' cost. It is multiplied by the valley's deviation over that by curvature nearby.
+The valley of equally good numbers is followed for every k-th texel. The deviation of each texel is that by
+the curvature at its own photos, times the ratio of the valley's deviation to the curvature's nearby.
 
 Numbers are those in which errors are counted (docs/conventions.md). Each has a range of 1. A number that no
 photo tells has the deviation of a uniform distribution, 1 / sqrt(12).

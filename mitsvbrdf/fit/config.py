@@ -141,7 +141,7 @@ class HierarchicalConfig(FitConfig):
     relief: float = 0.02
     """Standard deviation of the slopes of normals at 64 px. Real photos only."""
     detail_spread: float = 0.06
-    """Standard deviation of a texel from its 64 px value at full size. 0 frees only diffuse. Real photos."""
+    """Standard deviation of full-size texels from their 64 px values. 0 frees only diffuse. Real photos."""
     highlight_reach: float = 2.0
     """Lobe widths from a highlight at which pixels begin to count less. 0: all count alike. Real photos."""
     remove_burn_in: Switch = True

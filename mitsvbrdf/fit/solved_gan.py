@@ -198,7 +198,7 @@ class SolvedGan(Method[GanConfig]):
     def omitted(self) -> list[Omitted]:
         """What the solver omitted, and the maps that the game did not help."""
         if self.game:
-            why = ("held-out photos are predicted no better with it, or all worse" if self.steps >= BEAT else
+            why = ("it predicts held-out photos no better, or all photos worse" if self.steps >= BEAT else
                    "the run ended before it was judged") + ": the map stays as solved"
             found = [Omitted(f"the game's change of {name}", why) for name in self.game.bounded.bounds
                      if name not in self.kept]

@@ -1,1 +1,1 @@
-"""Fits by a generator: the hybrid method and the paper's GAN."""
+"""Fits by a generator: the hybrid method, the paper's GAN, and plausible detail."""

@@ -118,7 +118,7 @@ class PatchDiscriminator(nn.Module):
 
 
 class AllPhotosGenerator(nn.Module):
-    """Generator of hybrid and detail: an encoder of all photos, two decoders with skips, a change to a start.
+    """Generator of hybrid, gan and detail: encoder of all photos, two decoders with skips, change to a start.
 
     The maps are ``start + change`` before Tanh; the last layers begin at zero if ``change``, so that training
     begins at the start. ``inputs`` are the channels of the condition, ``width`` those of the finest level.
