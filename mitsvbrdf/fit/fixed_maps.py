@@ -106,8 +106,8 @@ def _check_value(name: str, value: str, channels: int) -> None:
     elif numbers is not None:
         least = LEAST_ROUGHNESS if name == "roughness" else 0.0
         if len(numbers) not in {1, channels}:
-            raise ConfigError(f"{' or '.join(map(str, sorted({1, channels})))} numbers for {name}", value,
-                              "separate by commas")
+            raise ConfigError(f"{'1 number' if channels == 1 else f'1 or {channels} numbers'} for {name}",
+                              value, "separate by commas")
         if not all(math.isfinite(x) and least <= x <= 1 for x in numbers):
             raise ConfigError(f"{name} from {least:.2g} to 1", value, "values are linear")
 

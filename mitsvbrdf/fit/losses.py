@@ -67,7 +67,7 @@ def total_variation(svbrdf: SVBRDF, edges: Tensor, fixed: Collection[str] = ()) 
     down, right = edges
     loss = torch.zeros(())
     for name in ABOUT["smooth"]:
-        if name in svbrdf.maps and name not in fixed:
+        if name in svbrdf.maps and name not in fixed and svbrdf.resolution > 1:
             m = svbrdf[name]
             loss = (loss + ((m[1:] - m[:-1]).abs() * down[:-1]).mean()
                     + ((m[:, 1:] - m[:, :-1]).abs() * right[:, :-1]).mean())

@@ -125,7 +125,7 @@ def test_fixed_maps_from_files(tmp_path):
                                                           ["only a normal"]),
     (["specular=1.5"], "roughconductor", ["from 0 to 1"]), (["specular=nan"], "roughconductor", ["nan"]),
     (["roughness=0"], "roughconductor", ["0.002"]), (["roughness=0.1,0.2,0.3"], "roughconductor",
-                                                     ["1 numbers"]),
+                                                     ["1 number for"]),
     (["specular=0.1,0.2"], "roughconductor", ["1 or 3"]), (["specular=0.1", "specular=0.2"], "roughconductor",
                                                            ["once"]),
     (["diffuse=none.exr"], "roughconductor", ["none.exr"]), (["specular=0"], "roughconductor",
