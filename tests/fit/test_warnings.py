@@ -23,10 +23,9 @@ def test_a_good_fit_raises_no_doubt(fitted):
 
 
 def test_a_photo_from_elsewhere_is_named(leather):
-    views = GRID
-    wrong = views.camera.clone()
+    wrong = GRID.camera.clone()
     wrong[4] = torch.tensor([1.2, -1.2, 3.5])
-    result = fit_svbrdf(dataclasses.replace(leather, views=Views.of(wrong, intensity=views.intensity)),
+    result = fit_svbrdf(dataclasses.replace(leather, views=Views.of(wrong, intensity=GRID.intensity)),
                         ANALYTIC, DirectConfig(iterations=40))
     assert any(warning.startswith("photo 04 fits worse") for warning in result.warnings)
 
