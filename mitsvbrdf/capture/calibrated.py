@@ -77,7 +77,7 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
     photos = _numbered(path.parent / stated["target_dir"])
     index = stated.get("idx")
     if uncalibrated:
-        stated = stated | _assumed(stated, path, len(photos) if index is None else max(photos) + 1)
+        stated = stated | _assumed(stated, path, len(photos))
     stated = {"transfer": "gamma2.2", "calibration": "given"} | stated  # other tools do not state these
     if stated["calibration"] not in (known := get_args(Calibration)):
         raise CaptureError(f"a calibration of {known}", f"{stated['calibration']!r} in {path}",
@@ -99,11 +99,12 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
     elif missing := [i for i in index if i not in photos]:
         raise CaptureError(f"photo {missing[0]:02d}.png or .jpg, which idx names", "no such file in "
                            f"{path.parent / stated['target_dir']}", "add the photo or take it out of idx")
-    elif max(index) >= len(camera):
+    elif max(index) >= len(camera) and not uncalibrated:
         raise CaptureError(f"{max(index) + 1} rows of camera_pos, as idx names photo {max(index)}",
                            f"{len(camera)} rows in {path}", "give one row a photo, or shorten idx")
-    views = _views(camera, light, stated["light_pow"], size, falloff, str(path)).pick(
-        range(len(photos)) if index is None else index)  # without idx, rows are those of the photos in order
+    # without idx, rows are those of the photos in order; without camera_pos, all rows are alike
+    rows = range(len(index or photos)) if index is None or uncalibrated else index
+    views = _views(camera, light, stated["light_pow"], size, falloff, str(path)).pick(rows)
     index = list(photos) if index is None else index
     return _calibrated([photos[i] for i in index], views, stated["transfer"], index, path.parent,
                        resolution, stated["calibration"],

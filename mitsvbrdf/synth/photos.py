@@ -17,6 +17,7 @@ from .. import color
 from ..capture.align.sheet import Sheet
 from ..capture.lens import Lens, Pose
 from ..capture.rig import Rig, rig_to_json
+from ..errors import ConfigError
 from ..io import files
 from ..material.made import make_material
 from ..material.map_files import save_maps
@@ -75,7 +76,11 @@ def _metered(scene: Any, phone: HandheldPhone, pose: Pose) -> float:
     """Intensity of the flash that exposes the first photo well; lower if too many values would clip."""
     lens = replace(phone, megapixels=FROM_METER).lens
     radiance = scene.render(lens, pose, intensity=1.0) * _transmission(lens, 0, lens.size[1])
-    return float(min(BRIGHTNESS / radiance.mean(), 1 / np.quantile(radiance, 1 - MOST_CLIPPED)))
+    exposed = max(radiance.mean() / BRIGHTNESS, np.quantile(radiance, 1 - MOST_CLIPPED))
+    if not (exposed > 0 and radiance.min() >= 0):  # refuses NaN, too
+        raise ConfigError("light in the first photo", f"radiance from {radiance.min():g} to "
+                          f"{radiance.max():g}", "check --flash and --vignetting; the material may be black")
+    return float(1 / exposed)
 
 
 def _transmission(lens: Lens, first: int, count: int) -> NDArray[np.float32]:

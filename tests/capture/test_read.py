@@ -46,6 +46,9 @@ def test_json_idx_picks_rows_and_photos(tmp_path):
     assert torch.equal(capture.views.camera, capture.views.light)
     assert capture.views.intensity.tolist() == [[7.0] * 3] * 2
     assert np.array_equal((capture.photos * 255).round().numpy(), images[[2, 0]])
+    json_capture(tmp_path, images, idx=[2, 10**15], camera_pos=..., light_pos=..., light_pow=...)
+    (tmp_path / "target" / "00.png").rename(tmp_path / "target" / f"{10**15}.png")
+    assert read_capture(tmp_path).index == (2, 10**15)  # its number needs no rows up to it
 
 
 @pytest.mark.parametrize("separator", [", ", "\t"])

@@ -158,9 +158,12 @@ def test_phones_that_cannot_be(wrong, match):
         HandheldPhone(**wrong).check()
 
 
-def test_a_phone_that_never_shows_the_patch_is_refused():
+def test_a_phone_that_never_shows_the_patch_or_no_light_is_refused():
     with pytest.raises(ConfigError, match="can show the whole patch"):
         handheld_poses(HandheldPhone(centre=(2500.0, 0.0)), 1)
+    for v1 in (-9.0, math.nan):
+        with pytest.raises(ConfigError, match="light in the first photo"):
+            handheld_photos(flat(8), replace(SMALL, vignetting=(v1, 0.0)), Grey)
 
 
 @pytest.mark.parametrize("kinds", [("blurry",), ("finger", "finger")])
