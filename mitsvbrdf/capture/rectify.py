@@ -67,7 +67,7 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
     height, width = pixels.shape[:2]
     at = project(lens, pose, CORNERS * size)
     longest = np.linalg.norm(np.roll(at, -1, axis=0) - at, axis=1).max()
-    times = max(1, int(np.ceil(np.nan_to_num(longest, nan=0.0) / resolution))) if np.isfinite(longest) else 1
+    times = max(1, int(np.ceil(longest / resolution))) if np.isfinite(longest) else 1
     # Positions of texels as in views.texel_positions, but a band of rows at a time.
     steps = ((np.arange(resolution * times) + 0.5) / (resolution * times) - 0.5) * size
     out = np.empty((resolution, resolution, 3), dtype=np.float32)

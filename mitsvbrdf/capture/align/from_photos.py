@@ -138,8 +138,7 @@ def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pa
     off = [m.at_b - mapped(warps[m.b] @ np.linalg.inv(warps[m.a]), m.at_a) for m in agreed]
     few = _limited([m for m, d in zip(agreed, off) if np.median(np.linalg.norm(d, axis=1))
                     < CHAINED * m.sigma / SIGMA], lens.size, MOST_MATCHES // 3)
-    found = [adjust(lens, start, hub, few, focal, focal_share, steps=20)
-             for start in starts(lens, warps, hub)]
+    found = [adjust(lens, start, hub, few, focal, focal_share, steps=20) for start in starts(lens, warps)]
     lens, poses, _, unsure = min(found, key=lambda f: f[2])
     settled = 0
     while True:

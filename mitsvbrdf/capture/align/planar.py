@@ -1,9 +1,8 @@
 """Where cameras stood over an unknown plane: a start from homographies, and bundle adjustment.
 
-A pixel of one photo is projected onto the plane, and from there into another photo. The plane's points
-need not be solved for.
-Unknown are the lens (focal length, distortion) and a pose of each photo. One photo, the hub, sets the frame:
-it is above the origin at height 1, and the world's x axis runs along its own x axis.
+A pixel of one photo is projected onto the plane, and from there into another photo. So points of the plane
+are no unknowns. The unknowns are the lens (focal length, distortion) and a pose of each photo. One photo, the
+hub, sets the frame: it is above the origin at height 1, and the world's x axis runs along its own x axis.
 
 Source: Triggs 1998, Autocalibration from Planar Scenes; Zhang 2000; Triggs et al. 2000, bundle adjustment.
 """
@@ -28,6 +27,7 @@ TILT_SD = 0.17  # of a camera's axis from straight down, rad
 HEIGHT_SD = 0.15  # of a camera's height from the others', as a share
 DISTORTION_SD = (0.03, 0.01)  # k1, k2: phones correct their lens
 SOFT = 1.0  # standard deviations from which an error counts linearly
+MOST_STARTS = 3  # tilts of the hub from which the bundle adjustment starts
 # so many matches count as one for uncertainties: errors by relief, highlights and lens are alike nearby
 ALIKE = 10
 
@@ -65,7 +65,7 @@ def carried(lens: Lens, a: Pose, b: Pose, directions: Array) -> Array:
     return lens.focal * at * (1 + lens.distortion[0] * r2 + lens.distortion[1] * r2**2) + lens.middle
 
 
-def starts(lens: Lens, homographies: dict[str, Array], hub: str, most: int = 3) -> list[dict[str, Pose]]:
+def starts(lens: Lens, homographies: dict[str, Array]) -> list[dict[str, Pose]]:
     """Poses that agree with homographies, for the likeliest tilts of the hub; the best first.
 
     Homographies lead from pixels of the hub to pixels of each photo; that of the hub is the identity. For a
@@ -87,7 +87,7 @@ def starts(lens: Lens, homographies: dict[str, Array], hub: str, most: int = 3) 
     cost = np.minimum(skew, 0.05).sum(axis=0) + 0.003 * np.square(tilts).sum(axis=-1) / TILT_SD**2
     chosen: list[int] = []
     for k in np.argsort(cost):
-        if len(chosen) < most and all(np.linalg.norm(tilts[k] - tilts[c]) > 0.25 for c in chosen):
+        if len(chosen) < MOST_STARTS and all(np.linalg.norm(tilts[k] - tilts[c]) > 0.25 for c in chosen):
             chosen.append(k)
     return [{name: _pose(axes[n, k]) for n, name in enumerate(homographies)} for k in chosen]
 
@@ -107,8 +107,8 @@ def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match
     """Lens and poses that agree best with the matches and the priors.
 
     The hub is above the origin and stays there, but may tilt. The focal length of ``lens`` is only a start:
-    its prior is ``focal`` pixels, with the standard deviation ``focal_share`` of that. Also given are the
-    cost, which compares starts, and the focal length's standard deviation as a share.
+    its prior is ``focal`` pixels, with the standard deviation ``focal_share`` of that. The third value is the
+    cost, which compares starts. The fourth is the focal length's standard deviation, as a share.
     """
     problem = _Bundle(lens, poses, hub, matches, focal, focal_share)
     result = least_squares(problem.residuals, problem.start[problem.free], problem.slopes, x_scale="jac",

@@ -54,10 +54,10 @@ def shading_of_paper(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color
             for name, pose in rig.poses.items() if name in photos}
     found = solve_light(rig, Samples.of(rig, seen, "white paper", glossy=False))
     notes, tint = [f"paper is taken to be white with an albedo of {PAPER_ALBEDO:g}"], tint_of(found.samples)
-    intensity = np.exp(found.level + found.colour) * math.pi / PAPER_ALBEDO
+    colour = _colours(found.samples, without=tint)[1] if tint else found.colour
+    intensity = np.exp(found.level + colour) * math.pi / PAPER_ALBEDO
     if tint:
         notes.append(_said(tint, "the paper", "taken out"))
-        intensity = np.exp(found.level + _colours(found.samples, without=tint)[1]) * math.pi / PAPER_ALBEDO
     return replace(found.shading(intensity, math.hypot(found.level_sd, PAPER_SD), tuple(notes)), tint=tint)
 
 

@@ -79,7 +79,7 @@ def test_start_by_tilt():
     plane = {name: lens.matrix @ np.column_stack((p.rotation[:, :2], -p.rotation @ p.position))
              for name, p in poses.items()}
     homographies = {name: h @ np.linalg.inv(plane["hub"]) for name, h in plane.items()}
-    found = starts(lens, homographies, "hub")[0]
+    found = starts(lens, homographies)[0]
     for name, pose in poses.items():
         relative = pose.rotation @ poses["hub"].rotation.T
         assert np.degrees(np.arccos(np.clip(-found[name].rotation[2, 2], -1, 1))) == pytest.approx(
