@@ -37,7 +37,7 @@ from .rectify import filled
 from .sharpness import CLEARLY, MOST_PHOTOS, carried, middle
 from .turned import SIDE, laid_alike
 
-NUMBER = Annotated[float, Meta(ge=-1e300, le=1e300)]  # no NaN either
+NUMBER = Annotated[float, Meta(ge=-1e300, le=1e300)]  # this refuses NaN, too
 ROW = Annotated[list[NUMBER], Meta(min_length=3, max_length=3)]
 ROWS = Annotated[list[ROW], Meta(min_length=1)]
 COLOURS = dict[str, Converted]
@@ -62,7 +62,7 @@ def stated_in(folder: Path) -> Path | None:
 
 
 def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
-    """The capture of a ``capture.json``; default views without ``camera_pos``. CaptureError: a fault."""
+    """The capture of a ``capture.json``; without ``camera_pos``, of default views. CaptureError: a fault."""
     try:
         stated = load(path)
     except (OSError, ValueError) as reason:
@@ -145,7 +145,7 @@ def from_text(folder: Path, falloff: Falloff, resolution: int | None) -> Capture
 def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index: list[int], source: Path,
                 resolution: int | None, calibration: Calibration = "given",
                 told: dict[str, Converted] | None = None) -> Capture:
-    """The capture. Each photo is decoded, and shrunk or kept as stored, before the next one is decoded.
+    """The capture of these photos. Each is decoded, and shrunk or kept as stored, before the next one.
 
     ``told``: the conversions to sRGB that the calibration file states.
     """

@@ -66,13 +66,11 @@ def used_transfer(transfer: Transfer, colours: Mapping[str, Converted]) -> tuple
 
 LEAST_SIDE = 8  # pixels
 MOST_HELD = 500_000_000  # pixels of all photos of a capture together, after shrinking: 6 GB
+KEPT = torch.uint8, torch.uint16  # types of photos that are kept as stored; others become float32
 SINGLE = 32  # single pixels a side that a shrunk photo keeps of the original
 
-# by the maker of a capture, a marker sheet, the features that raw photos share, or not at all
+# source of the views: the maker of the capture, a sheet of tags, features that raw photos share, or none
 Calibration = Literal["given", "sheet", "photos", "none"]
-
-
-KEPT = torch.float32, torch.uint8, torch.uint16  # types that photos are kept in
 
 
 class _Photos:
@@ -108,8 +106,8 @@ class Capture:
             None: they were not shrunk.
 
     Raises:
-        CaptureError: photos of another shape or with values that no photo has; views or numbers that are
-            not one for each photo; views that :meth:`Views.check` refuses; ``measured`` that is no mask.
+        CaptureError: photos of another shape or with values that no photo has; not one view and one number
+            for each photo; views that :meth:`Views.check` refuses; ``measured`` that is no mask.
         ConfigError: another transfer function or calibration.
     """
 
@@ -239,7 +237,7 @@ class Capture:
                        measured=None if self.measured is None else sampled(self.measured, resolution))
 
     def pick(self, index: Sequence[int]) -> Capture:
-        """The photos with these numbers (of :attr:`index`), in this order. CaptureError: none, or others."""
+        """The photos of these numbers (:attr:`index`), in this order. CaptureError: none, others, twice."""
         index = whole_numbers(index)
         missing = [i for i in index if i not in self.index]
         if missing or not index:
@@ -254,7 +252,7 @@ class Capture:
 
 
 def check_held(photos: int, side: int, source: Path) -> None:
-    """ConfigError: so many photos of this size, once shrunk, hold too many pixels."""
+    """Raise ConfigError where so many photos, once shrunk to ``side`` pixels a side, are too many pixels."""
     if (held := photos * side**2) > MOST_HELD:
         raise ConfigError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together",
                            f"{held / 1e6:.0f} in {source}", "read them at a lower resolution")
@@ -271,7 +269,7 @@ Capture.photos = _Photos()  # type: ignore[assignment,misc]
 
 
 def _checked(photos: Tensor) -> Tensor:
-    """Photos as float32, or as stored in 8 or 16 bits; CaptureError for a shape or values of no photo."""
+    """Photos as float32, or as stored in 8 or 16 bits; CaptureError: a shape or values that no photo has."""
     if not isinstance(photos, Tensor) or not (photos.is_floating_point() or photos.dtype in KEPT):
         raise CaptureError("photos as a float tensor", repr(getattr(photos, "dtype", type(photos).__name__)),
                            "give display values in [0, 1]: 8 bits divided by 255")

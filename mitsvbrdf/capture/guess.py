@@ -24,7 +24,7 @@ BLUR = 1 / 32  # standard deviation of mean-blur, as a share of the image side
 TEXEL = Layout(tilt=(2,), log_alpha=(), log_f0=(), log_albedo=())
 # prior standard deviations of these from the typical ones; nothing is known of the albedo beforehand
 SURFACE_SD = torch.tensor((0.5, 0.5, 0.5, 1.0, torch.inf))
-# two starts: a dielectric; a surface with hardly a highlight
+# two starts: a dielectric, and a surface with almost no highlight
 STARTS = [{"log_alpha": math.log(0.3), "log_f0": math.log(f0)} for f0 in (0.04, 0.001)]
 DISPLAY, BLACK = 0.4, 1e-4  # a display value is about (albedo + BLACK)^DISPLAY
 NOISE = 0.03  # standard deviation of a display value, by the photo, the calibration and this model
@@ -50,9 +50,9 @@ def guess_diffuse(capture: Capture, method: GuessMethod = "robust") -> Tensor:
             blurred by a Gaussian of R / 32; the same constant.
             ``robust``: ours: falloff and cosine undone; one tilted, rough, grey highlight fitted to each
             texel's few values and subtracted; then the median over the photos, without clipped pixels.
-            Diffuse RMSE on six known materials 0.048 where ``min`` has 0.085. Its weak side: where no photo
-            shows a texel far from its highlight, or the calibration is off, broad highlights take colour from
-            the diffuse map (real bamboo, red plastic).
+            Its diffuse RMSE on six known materials is 0.048, that of ``min`` 0.085. It has a weakness: where
+            no photo shows a texel far from its highlight, or the calibration is off, broad highlights take
+            colour from the diffuse map (real bamboo, red plastic).
 
     Returns:
         R x R x 3 float32, linear, in [0, 1], finite.

@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Lens:
-    """What all photos of a phone share."""
+    """What all photos of a phone share: its lens, and where its flash is."""
 
     size: tuple[int, int]  # width and height of the photos in pixels
     focal: float  # focal length in pixels
@@ -80,7 +80,7 @@ def expected_lens(size: tuple[int, int], focal_35mm: Sequence[float]) -> Lens:
 def unsure_note(share: float) -> str:
     """What a user should know of a focal length that may be off by this share."""
     return (f"the focal length is uncertain by {share:.1%}, and so are the heights of the cameras: the "
-            "photos are too few or too much alike; a few more from aside settle it")
+            "photos are too few or too much alike; a few more, taken from the side, settle it")
 
 
 @dataclass(frozen=True)

@@ -41,7 +41,7 @@ class Unreadable(CaptureError):
 
 @dataclass(frozen=True)
 class Photo:
-    """A file; its pixels are read when they are asked for."""
+    """A photo's file and header; :meth:`read` reads its pixels."""
 
     # PNG, JPEG, TIFF or WebP; HEIC with the extra heic, RAW (dng, cr2, cr3, nef, arw, ...) with the extra raw
     path: Path
@@ -144,13 +144,13 @@ def listed(names: Sequence[str]) -> str:
 def photos_in(folder: str | Path) -> list[Path]:
     """The photos of a folder, sorted by name, without hidden ones.
 
-    CaptureError: no photo, or RAW files beside others, because their values mean something else. ConfigError:
-    a name that is not UTF-8.
+    CaptureError: no photo, or RAW files beside others, because their values are linear. ConfigError: a name
+    that is not UTF-8.
     """
     found = files_of(folder := Path(folder), SUFFIXES)
     check_names(*found)
     others = [p.name for p in files_of(folder, None) if p.suffix.lower() not in SUFFIXES + BESIDE]
-    way_out = "export what is a photo as JPEG, PNG, TIFF or HEIC"
+    way_out = "export the photos among them as JPEG, PNG, TIFF or HEIC"
     if not found:
         raise CaptureError("photos (jpg, png, heic, dng, ...)", f"{listed(others) or 'none'} in {folder}",
                            way_out if others else "give the folder that holds them")
@@ -199,7 +199,7 @@ def with_one_balance(photos: Sequence[Photo]) -> tuple[list[Photo], list[str]]:
 
 
 def differences(photos: Sequence[Photo]) -> list[str]:
-    """A warning for each setting that differs, with photos and values; and one if no photo has the flash."""
+    """A warning for each setting that differs, with photos and values; one more if no photo has the flash."""
     found = []
     for what in SAME:
         names: dict[str, list[str]] = {}
@@ -211,7 +211,7 @@ def differences(photos: Sequence[Photo]) -> list[str]:
             odd = sorted((name, value) for value, those in names.items() if value != usual for name in those)
             rest = listed([f"{value} in {name}" for name, value in odd])
             found.append(f"{what} differs: {usual} in {names[usual][0]}"
-                         f"{' and others' * (len(names[usual]) > 1)}, {rest}; lock it for comparable photos")
+                         f"{' and others' * (len(names[usual]) > 1)}, {rest}; keep it the same in all photos")
     if all(photo.exif.get("flash") == "off" for photo in photos):
         found.append("no photo was taken with the flash, says EXIF: the highlights are those of the room")
     return found

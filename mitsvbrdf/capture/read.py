@@ -28,8 +28,8 @@ from .rectify import filled
 from .sharpness import CLEARLY, MOST_PHOTOS, carried, middle
 from .turned import laid_alike
 
-OF_MATERIALS = "give photos; `synth` takes some of a material, `evaluate --reference` compares a fit with it"
-MOST_SQUARE = 2048  # most pixels a side that are kept of a photo without calibration
+OF_MATERIALS = "give photos; `synth` makes some of a material, `evaluate --reference` compares a fit with it"
+MOST_SQUARE = 2048  # most pixels a side of a photo without calibration, if no resolution is asked for
 
 
 @entry()
@@ -40,13 +40,13 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
 
     Three kinds of folder are understood, in this order:
 
-    - ``capture.json`` as svbrdf-diff-renderer has it (docs/formats.md lists its keys); without ``camera_pos``
-      nothing is known of the views but that the photos are rectified. Without ``capture.json``, another JSON
-      file with ``camera_pos`` and ``target_dir`` is read, such as ``optim_latent_256.json``;
+    - ``capture.json`` as svbrdf-diff-renderer has it (docs/formats.md lists its keys). Without ``camera_pos``
+      the photos are rectified, but their views are unknown. Without ``capture.json``, another JSON file with
+      ``camera_pos`` and ``target_dir`` is read, such as ``optim_latent_256.json``;
     - MaterialGAN's ``camera_pos.txt`` and other text files beside the photos ``00.png|jpg``, ...;
     - photos alone, as a phone wrote them. From three or more,
       :func:`~mitsvbrdf.capture.stages.make_capture` makes the capture, upright as the first photo. Of fewer,
-      only the first by name is used, with the stated default geometry.
+      only the first by name is used, with the default geometry, which a note states.
 
     Args:
         folder: the folder, the JSON file itself, or a lone photo.
@@ -61,9 +61,9 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
     Returns:
         The capture, in the unit of length of its calibration.
 
-    Each photo is decoded and shrunk before the next one: at most 250 megapixels of each, 500 in all when
-    shrunk. Photos that lie turned or mirrored beside the others are laid as the others, and a note names
-    them; see :mod:`.turned`.
+    Each photo is decoded and shrunk before the next one. A photo has at most 250 megapixels, and all together
+    have at most 500 when shrunk. Photos that are turned or mirrored relative to the others are turned back,
+    and a note names them; see :mod:`.turned`.
 
     Raises:
         CaptureError: photos or calibration that cannot be used, naming the file or row.
@@ -167,7 +167,7 @@ def _stated_above(folder: Path) -> Path | None:
 
 def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer: color.Transfer | None,
                 report: Report) -> Capture:
-    """The capture that `mitsvbrdf capture` makes of raw photos; of fewer than three, of the first alone.
+    """The capture that `mitsvbrdf capture` makes of raw photos; where it makes none, of the first alone.
 
     Photos that show everything in the same place are taken for rectified.
     """

@@ -46,7 +46,7 @@ def rig_to_json(rig: Rig) -> dict:
 
 def check_enough(kept: Sized, rejected: Mapping[str, str], what: str = "that can be used",
                  fix: str = "take more photos from different places, flash on") -> None:
-    """Raise CaptureError, with the reasons, where fewer than three photos are left; ``fix`` is what to do."""
+    """Raise CaptureError, with the reasons, where fewer than three photos are left; ``fix``: the way out."""
     if len(kept) >= LEAST_PHOTOS:
         return
     named: dict[str, list[str]] = {}

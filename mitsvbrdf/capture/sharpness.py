@@ -29,7 +29,7 @@ def carried(middles: Sequence[np.ndarray], side: int, least: int) -> int:
     """Pixels a side that carry detail: ``side``, halved once for each of the finest octaves without detail.
 
     Noise differs between photos, and an enlarged photo has little contrast in its finest octave. So a band of
-    each octave is compared: with the band of the next coarser octave, and between photos.
+    each octave is compared with the band of the next coarser octave, and between photos.
 
     ``middles`` (:func:`middle`) are those of two or more aligned photos of ``side`` pixels a side. The result
     is the largest of ``side``, ``side`` / 2, ... whose octave counts, and ``least`` at least.

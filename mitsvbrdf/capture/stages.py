@@ -36,12 +36,12 @@ COVERAGE_SIDE = 64
 
 @dataclass(frozen=True)
 class CaptureResult:
-    """A capture, and what is known about how good it is."""
+    """A capture, and numbers of its quality."""
 
     capture: Capture  # the photos that are used, rectified, in their order
     photos: tuple[Photo, ...]  # all that were given
     rig: Rig  # lens and poses of those used; rejected has the reason of each other photo
-    # flash, vignetting and exposures; None: they are unknown, and the flash is taken to be at the lens
+    # flash, vignetting and exposures; None: unknown, and the flash is taken to be at the lens
     shading: Shading | None
     qualities: dict[str, PhotoQuality]  # how good each photo with a pose is, by name
     # smallest angle (rad) between half vector and flat normal over all photos, 64 x 64, row 0 at the top
@@ -77,7 +77,7 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
             :func:`~mitsvbrdf.capture.align.from_photos.rig_from_photos`.
 
     Raises:
-        CaptureError: fewer than three photos can be used; the message gives the reasons.
+        CaptureError: fewer than three photos can be used, with the reasons.
         OnePlace: all photos are from one place, and not rectified to a sheet.
         ConfigError: options out of range.
     """

@@ -1,4 +1,4 @@
-"""Rectified photos, and which of them lie turned or mirrored beside the others, as their pattern shows.
+"""Which rectified photos are turned or mirrored relative to the others, as their pattern shows.
 
 Each photo's fine pattern is correlated with those of the others as it lies, and in the seven other ways in
 which a square can lie. Squares of correlations count, because opposite light shows a relief as its negative.
@@ -67,7 +67,7 @@ def ways(capture: Capture) -> list[int]:
 
 
 def laid_alike(capture: Capture, larger: Capture | None = None) -> Capture:
-    """The capture with photos laid as most lie, where their pattern clearly tells; with a note of each.
+    """The capture with photos turned as most are, where their pattern clearly tells; with a note of each.
 
     ``larger``: the same photos in more pixels, to look at instead.
     """

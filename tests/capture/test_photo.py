@@ -86,7 +86,7 @@ def test_photos_in_a_folder(tmp_path):
     with pytest.raises(CaptureError, match="none in"):
         photos_in(tmp_path)
     (tmp_path / "h.exr").touch()
-    with pytest.raises(CaptureError, match="got h.exr in .*; export what is a photo as JPEG"):
+    with pytest.raises(CaptureError, match="got h.exr in .*; export the photos among them as JPEG"):
         photos_in(tmp_path)
     (tmp_path / "h.exr").unlink()
     names = ["a.png", "b.JPG", "c.heic", "d.jfif", "e.tif", "f.webp", "g.HIF"]
@@ -119,8 +119,7 @@ def test_a_missing_extra_is_named(name, extra, package, tmp_path, monkeypatch):
 def test_heic_is_given_as_the_sensor_saw_it(orientation, tmp_path):
     heif = pytest.importorskip("pillow_heif", reason='needs pip install "mitsvbrdf[heic]"')
     heif.register_heif_opener()
-    # what the phone shows of the sensor's picture()
-    shown = np.rot90(picture(), {1: 0, 3: 2, 6: -1, 8: 1}[orientation])
+    shown = np.rot90(picture(), {1: 0, 3: 2, 6: -1, 8: 1}[orientation])  # as the phone shows it
     Image.fromarray(shown).save(tmp_path / "a.heic", quality=95, exif=exif(orientation))
     photo = Photo.open(tmp_path / "a.heic")
     assert photo.orientation == orientation and photo.size == (60, 40) and photo.exif["ISO"] == 100
