@@ -1,4 +1,4 @@
-"""What photos of a flat material share: SIFT features, and chains of homographies that most agree with.
+"""What photos of a flat material share: SIFT features, and homographies that most of these agree with.
 
 Source: SIFT by Lowe 1999, 2004; RootSIFT by Arandjelovic and Zisserman 2012; MAGSAC++ by Barath et al. 2020.
 """
@@ -24,7 +24,7 @@ FEW_FEATURES = 3000  # the strongest, compared first: time grows with the square
 # weakest feature; with OpenCV's 0.04, flash photos of wood were warped 50 pixels wrong or rejected
 CONTRAST = 0.01
 RATIO = 0.8  # a match counts when its distance is below this share of the second best's (Lowe 2004)
-REPROJECTION = 3.0  # error from which a match is an outlier, in pixels of the feature search
+REPROJECTION = 3.0  # a match with a larger error is an outlier; in pixels of the feature search
 OTHER_PLACE = 12.0  # distance in pixels from which a feature of the same photo counts as another
 MOST_AGAIN = 8  # photos that an unconnected photo is compared with again, by all features
 SIGMA = 0.5  # standard deviation of a match, in pixels of the feature search
@@ -99,7 +99,7 @@ def repeats(features: Features) -> float:
 def homography(source: Array, aim: Array, pixel: float) -> tuple[Array | None, NDArray[np.bool_]]:
     """The homography (3 x 3) that most pairs of pixels (K x 2) agree with, and which do; None: too few do.
 
-    The threshold is in units of ``pixel`` pixels.
+    ``pixel``: side of a pixel of the feature search, in pixels; the threshold counts in these.
     """
     if len(source) < LEAST_INLIERS:
         return None, np.zeros(len(source), dtype=bool)
@@ -147,8 +147,8 @@ class Pair:
 
     matches: Match  # features that are alike, right or wrong
     agree: NDArray[np.bool_]  # which of them agree with warp, K
-    warp: Array | None  # homography from pixels of a to pixels of b; None where there is none to be trusted
-    wild: bool = False  # whether there is a homography that no camera could have made
+    warp: Array | None  # homography from pixels of a to pixels of b; None where none can be trusted
+    wild: bool = False  # whether the homography found is one that no camera could have made
 
     @property
     def names(self) -> tuple[str, str]:
@@ -165,7 +165,7 @@ def find_pairs(features: dict[str, Features], size: tuple[int, int],
                report: Callable[[float], object]) -> list[Pair]:
     """Each pair of photos, by the strongest features; by all features for photos that stay unconnected."""
     both = list(combinations(features, 2))
-    # so that it takes at most the time of 100 pairs
+    # so few that all pairs together take at most the time of 100 pairs
     few = int(np.clip(FEW_FEATURES * math.sqrt(100 / len(both)), 500, FEW_FEATURES))
     found = {}
     for n, (a, b) in enumerate(both):

@@ -1,6 +1,6 @@
 """Lens and poses of raw photos of a flat material, from the features that the photos share.
 
-Features agree with one homography between each pair of photos that overlap; a tree of the best ones
+Features agree with one homography between each pair of photos that overlap. A tree of the best homographies
 places every photo, and bundle adjustment finds lens and poses (:mod:`.planar`). Photos that cannot be used
 are named with the reason.
 
@@ -39,9 +39,9 @@ from .planar import Match, adjust, starts
 
 # deviation of a focal length from EXIF, which rounds its 35 mm equivalent to whole millimetres
 FOCAL_SHARE = 0.02
-FOCAL_SHARE_ASSUMED = 0.15  # and of the focal length by FIELD_OF_VIEW
-REPEATING = 0.15  # share of a photo's features from which on its pattern counts as repeating itself
-# deviation of the focal length found, as a share, that is worth a note: hardly better than EXIF's own
+FOCAL_SHARE_ASSUMED = 0.15  # and of the focal length that FIELD_OF_VIEW gives
+REPEATING = 0.15  # :func:`repeats` above which the pattern counts as repeating itself
+# deviation of the focal length found, as a share, that is worth a note: hardly below EXIF's own
 UNSURE = 0.018
 MOST_MATCHES = 4000  # in a bundle adjustment
 CHAINED = 10 * REPROJECTION  # error under the tree of homographies beyond which a pair is left out at first

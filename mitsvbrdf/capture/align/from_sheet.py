@@ -1,8 +1,8 @@
 """Lens and poses from photos of the printed sheet, by the tags that each photo shows.
 
-One lens (focal length, principal point, k1, k2) and a pose of each photo are the least-squares answer to all
-points measured on edges of tags (bundle adjustment, Triggs et al. 2000), with Zhang's planar target (2000)
-and weak priors on the lens.
+Bundle adjustment (Triggs et al. 2000) finds one lens (focal length, principal point, k1, k2) and a pose of
+each photo: the least-squares fit to all points measured on edges of tags, a planar target as in Zhang (2000),
+with weak priors on the lens.
 """
 
 import contextlib
@@ -188,7 +188,7 @@ class _Bundle:
         self.rows = {name: slice(*ends[i : i + 2]) for i, name in enumerate(seen)}
 
     def lens_of(self, x: Array) -> Lens:
-        """The lens that the first of the unknowns describe."""
+        """The lens by its unknowns, the first of ``x``."""
         moved, middle = LENS.unpack(x[self.layout["lens"]] * self.spread), self.lens.middle
         (u, v), distortion = moved.centre.tolist(), tuple(moved.distortion.tolist())
         return replace(self.lens, focal=self.lens.focal * math.exp(moved.log_focal),

@@ -8,7 +8,7 @@ from scipy.optimize import linprog
 from ..lens import Array, Lens, Pose, on_plane
 
 PHOTO_MARGIN = 0.01  # distance that the patch keeps from a photo's border, as a share of its sides
-CENTRED = 0.95  # of the largest square's side: so much smaller, the patch can lie below the cameras
+CENTRED = 0.95  # side of the patch over that of the largest square: it can then lie below the cameras
 GAIN = 1.25  # a photo without which the patch's side would grow by more than this factor is rejected
 
 # Direction, in the stored pixels, to the top of a photo as shown, by EXIF orientation.
@@ -34,7 +34,7 @@ def framed(poses: dict[str, Pose], centre: Array, side: float) -> dict[str, Pose
 
 
 def outline(lens: Lens, pose: Pose) -> Array:
-    """Half planes n . (x, y) <= b, one a side of a photo, which shows their overlap: 4 x 3, rows (n, b)."""
+    """Half planes n . (x, y) <= b, one a side of a photo. It shows their overlap: 4 x 3, rows (n, b)."""
     size = np.array(lens.size)
     low, high = PHOTO_MARGIN * size - 0.5, (1 - PHOTO_MARGIN) * size - 0.5
     corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])

@@ -23,9 +23,10 @@ Paper = Literal["a4", "letter"]
 CODES = (0xD5D628584, 0xD97F18B49, 0xDD280910E, 0xE479E9C98, 0xEBCBCA822, 0xF31DAB3AC, 0x056A5D085,
          0x10652E1D4, 0x22B1DFEAD, 0x265AD0472, 0x34FE91B86, 0x3FF962CD5, 0x43A25329A, 0x474B4385F,
          0x4E9D243E9, 0x5246149AE)
-TAG, PITCH, FRAME = 8, 16, 72  # in cells of a tag, as are the two next; tags with their black border
-HOLE = 52  # side of the square to cut out; two cells are left to the tags, three to the patch
-OUTER = 76  # side of what counts as the sheet: two white cells around the tags
+# Lengths in cells of a tag. A tag includes its black border.
+TAG, PITCH, FRAME = 8, 16, 72
+HOLE = 52  # side of the square to cut out: two cells from the tags, three from the patch
+OUTER = 76  # side of the sheet: two white cells around the tags
 PATCH = 0.64  # of the frame: what svbrdf-diff-renderer crops, 1024 of 1600 pixels
 SMALLEST = 5.0  # cm: cells of 0.7 mm, which a phone half a metre away still sees in 3 pixels
 SHEETS: dict[Paper, tuple[float, float]] = {"a4": (21.0, 29.7), "letter": (21.59, 27.94)}  # cm

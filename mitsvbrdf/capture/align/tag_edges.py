@@ -1,8 +1,8 @@
 """Tags of the sheet in one photo: found by OpenCV's detector, then measured where black turns into white.
 
 Corners that a detector reports are off by half a pixel, and a lens bends the edges between them. So points
-along the outer edges of the tags are measured, each across its edge only: where linear light crosses the
-middle between black and white.
+along the outer edges of the tags are measured, each only in the direction across its edge: where linear light
+crosses the middle between black and white.
 
 The rim of the photo or scissors may cut off outer edges of a tag. The edges between its black and white cells
 are measured instead. The tag counts as found if most of those edges in the picture agree with the code of the
@@ -151,13 +151,13 @@ class Edges:
     pixels: Array  # in the stored photo, K x 2
     across: Array  # unit vectors across the edges in the photo, K x 2; a point is known only along these
     corners: dict[int, Array]  # of each tag in the photo (4 x 2) by id, in the order of Sheet.corners
-    trimmed: bool = False  # whether there is no white around the tags, so that features had to find them
-    fault: str | None = None  # why hardly any tags were found, where that is known
+    trimmed: bool = False  # whether the tags have no white around them, and features found them
+    fault: str | None = None  # why too few tags were found, where that is known
 
 
 def find_edges(photo: Photo, sheet: Sheet, patient: bool = True) -> Edges:
-    """The tags of a photo, which is read at no more than 4100 pixels a side. With ``patient``, a photo
-    that shows hardly any is also searched by other means, and for what may be wrong.
+    """The tags of a photo, read at no more than 4100 pixels a side. With ``patient``, a photo with too few
+    tags is also searched with wider thresholds and by features, and for its fault.
     """
     times = -(-max(photo.size) // MOST_PIXELS)
     image = photo.pixels(MOST_PIXELS)

@@ -1,7 +1,7 @@
-"""Where tags may be in a photo: OpenCV's detector, more patient where it sees few; and why there are none.
+"""Where tags may be in a photo, by OpenCV's detector or by features; and why there are hardly any.
 
-The detector needs white around each tag. Where a sheet has lost its white rim on a dark material, features
-find it: the print has hundreds.
+The detector needs white around each tag. Features of the print, which are hundreds, find a sheet that has
+lost its white rim on a dark material.
 """
 
 import tempfile
@@ -52,7 +52,7 @@ def detected(grey: NDArray[np.uint8], **options: Any) -> dict[int, Array]:
 
 
 def sought(grey: NDArray[np.uint8], patient: bool = True, **options: Any) -> dict[int, Array]:
-    """As :func:`detected`, with white around the photo; if ``patient``, with wider thresholds, too."""
+    """As :func:`detected`, with white around the photo; if ``patient`` and few, by wider thresholds, too."""
     rim = round(RIM * max(grey.shape))
     framed = cv2.copyMakeBorder(grey, rim, rim, rim, rim, cv2.BORDER_CONSTANT, value=(255,))
     found = detected(framed, **options)

@@ -2,5 +2,5 @@
 
 ``samples`` averages small blocks of paper or material. ``problem`` predicts these from the unknowns.
 ``solve`` finds the most probable unknowns with robust weights, without photos whose light is even.
-``shading`` makes a lens and an intensity of the unknowns; ``lit`` makes the photos and their views.
+``shading`` turns the unknowns into a lens and an intensity; ``lit`` makes the photos and their views.
 """

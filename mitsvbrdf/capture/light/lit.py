@@ -31,7 +31,7 @@ class Lit:
 
     rig: Rig  # with the flash and vignetting of its lens; poses in the order in which the photos were given
     shading: Shading | None  # flash, vignetting and exposures; None where the photos do not tell them
-    # N x R x R x 3 display values without vignetting; what lies beyond a photo's edges is filled
+    # N x R x R x 3 display values without vignetting, filled where masked or beyond a photo's edges
     pictures: torch.Tensor
     measured: torch.Tensor | None  # N x R x R, False where a picture is filled; None: nowhere
     views: Views  # N

@@ -19,7 +19,7 @@ LOG_ALPHA = math.log(0.3), 1.0  # of the lobe, natural logarithm, and its sd
 LOG_F0 = math.log(0.16), 1.5  # of the lobe, natural logarithm over the median albedo, and its sd
 # angles from the mirror direction: weights are LEAST_WEIGHT up to the first, 1 from the second on
 MIRROR = math.radians(10), math.radians(20)
-LEAST_WEIGHT = 0.05  # of points near the mirror direction, so that texels with no other photo are not lost
+LEAST_WEIGHT = 0.05  # of points near the mirror direction: a texel may have no others
 DARKEST = -7.0  # natural logarithm of albedo over the median; less cannot be told from 0
 POLISHES = 10
 ALBEDO_STEPS = 6  # of Gauss-Newton, where there is a lobe

@@ -21,7 +21,7 @@ BLOCKS_ALONG = 96  # blocks along a photo's long side; a block of paper is a sam
 MATERIAL_SIDE = 32  # texels a side of a material that are compared
 DARK_VALUE = 0.03  # display values below are noise
 DIM = 0.1  # display value at which noise in the logarithm is as large as the model's error
-CELLS = 8  # a side; residuals within a cell of a photo may err alike
+CELLS = 8  # cells a side of a photo; residuals within a cell may be correlated
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,7 @@ class Samples:
     colour: Array  # natural logarithms of the channels over that mean
     weight: Array  # 1 / (1 + noise of the logarithm / error of the model)^2
     texel: np.ndarray  # points of one texel have one albedo
-    cell: np.ndarray  # points of one cell may err alike
+    cell: np.ndarray  # errors of points of one cell may be correlated
     glossy: bool  # whether there may be a lobe
 
     @classmethod

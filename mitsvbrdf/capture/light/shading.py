@@ -37,7 +37,7 @@ MOST_ALBEDO = 0.8
 # A photo has another white balance if the natural logarithm of its colour differs from the median photo's by
 # TINTED, and by SURELY deviations over texels (18 real ones: up to 2.0). It must show LEAST_COLOURED points.
 TINTED, SURELY, LEAST_COLOURED = 0.03, 3.0, 20
-# usual one, and sd of its logarithm; dielectrics have 0.04, but one lobe for all finds less: 0.005 to 0.06
+# usual F0 of the lobe, sd of its logarithm; dielectrics have 0.04, but one lobe for all finds 0.005 to 0.06
 LOBE_F0 = 0.03, 0.6
 
 
@@ -47,8 +47,8 @@ def shading_of_paper(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color
 
     Photos are pixels H x W x 3 as stored (integers, or float in [0, 1]), of the lens's size, or that
     divided by a whole number; those without a pose do not count. ``white`` says for points of the world (K x
-    2) whether bare paper is there. The paper's albedo is the same in all channels, so its tint is the
-    flash's. CaptureError: no photo shows white paper that is neither clipped nor dark.
+    2) whether bare paper is there. The paper's albedo is the same in all channels, so its colour in the
+    photos is the flash's. CaptureError: no photo shows white paper that is neither clipped nor dark.
     """
     seen = {name: paper_samples(photos[name], rig.lens, pose, white, depth, transfer)
             for name, pose in rig.poses.items() if name in photos}

@@ -1,6 +1,6 @@
 """The most probable light: robust least squares in rounds, once more without photos that had no flash.
 
-The evenness of a photo's light tells these (:func:`evenness_of`).
+The light in such a photo is even (:func:`evenness_of`).
 """
 
 import math
@@ -16,7 +16,7 @@ from .problem import EXPOSURE_SD, LOG_F0, Problem, exposures_of
 from .samples import Samples
 from .upside_down import Flashes
 
-# factor by which unknowns of known materials were off beyond noise: not all texels share one lobe
+# errors of unknowns over those that noise explains, on known materials: not all texels share one lobe
 MISFIT = 4.0
 ROUNDS = 10  # of reweighting
 SURE = 0.2  # standard deviation up to which evenness counts as measured
@@ -78,10 +78,10 @@ class _Found:
                      (*self.deviations.flash.tolist(), *self.deviations.vignetting.tolist()))
         if self.turned:
             notes += (f"saved upside down, as the flash on the other side of the lens shows: "
-                      f"{', '.join(self.turned)}; taken as turned",)
+                      f"{', '.join(self.turned)}; their poses are turned",)
         if self.unlit:
-            notes += (f"light is too even in {', '.join(self.unlit)} to tell where the flash is: they do not "
-                      "count for it",)
+            notes += (f"light is too even in {', '.join(self.unlit)} to tell where the flash is: the others "
+                      "tell it",)
         elif even := sum(e > EVEN for e in self.evenness.values()):
             notes += (f"light does not fall off as a flash's in {even} of {len(names)} photos: where it "
                       "comes from is a guess",)
@@ -124,8 +124,8 @@ def _turned(found: _Found, counts: Array) -> _Found:
 def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
     """The light with equal exposures, or with those that photos seem to have, if it explains them as well.
 
-    Without these a photo of twice the exposure looks like one large highlight. With them the search may find
-    a lobe where light is even.
+    With equal exposures, a photo of twice the exposure looks like one large highlight. With those of the
+    photos, the search may find a lobe where light is even.
     """
     found, exposures = _optimum(Problem(rig, samples), counts), exposures_of(rig, samples) * counts
     if np.abs(exposures).max() < LOCKED or (max(found.evenness.values()) > EVEN and counts.all()):

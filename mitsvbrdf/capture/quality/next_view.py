@@ -10,7 +10,7 @@ from ...views import Views, coverage_angle
 
 # Half vectors this close to the flat normal show a highlight (of roughness 0.35: alpha is tan 7 degrees).
 HIGHLIGHT_ANGLE = math.radians(7)
-# places tried: grid in patch sides, farthest, most slanted
+# places tried: step of their grid and largest distance sideways, in patch sides; largest slant
 GRID_STEP, FARTHEST, SLANT = 0.05, 1.0, math.radians(35)
 WORTH = 0.02  # of the patch: less is no reason to take one more photo
 

@@ -19,7 +19,7 @@ from ...color import NEARLY_CLIPPED
 from ...material.resample import resized
 from ...views import Views, geometry
 
-# texels a side for the comparison of radiance, and at most for that of detail
+# most texels a side for the comparison of radiance, and for that of detail
 RADIANCE_SIDE, DETAIL_SIDE = 32, 512
 # a texel beyond one of these is unlike the others: summed difference of chromaticity, log of radiance
 COLOUR, DARKER = 0.3, 1.4
@@ -49,7 +49,7 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, over
     """Numbers of each photo beside the others.
 
     Args:
-        photos: N x R x R x 3 display values in [0, 1], rectified; N >= 3 for the comparison to mean anything.
+        photos: N x R x R x 3 display values in [0, 1], rectified; a comparison needs N >= 3.
         views: those of the photos; places and powers of lights need only be roughly right.
         overlap: see :class:`PhotoQuality`, by name in the order of the photos; so are ``evenness``, and
             ``log_exposure``, the natural logarithms of exposures that the powers of lights hold already.

@@ -22,7 +22,7 @@ LEAST_OVERLAP = 0.95  # of the patch; texels beyond a photo's edge are filled in
 MOST_CLIPPED = 0.4  # of the patch; 0.22
 # of the median photo's; 0.57. Simulated photos of four materials by a hand that moved: 0.33 to 0.47
 LEAST_SHARPNESS = 0.52
-# pixels a side; with fewer, that limit falls in proportion: to 0.26 at 128, where real photos have 0.37
+# pixels a side; with fewer, LEAST_SHARPNESS falls in proportion: to 0.26 at 128, where real photos have 0.37
 ENOUGH = 256
 MOST_STOPS = 1.6  # brighter or darker than the others; 1.2
 # of the patch, in one piece; 0.18 and 0.14, with a highlight on metal 0.21. A finger over half of the
