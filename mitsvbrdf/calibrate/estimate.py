@@ -42,20 +42,20 @@ GAMMA = 2.2  # errors are counted in radiance^(1 / GAMMA), whatever the photos' 
 NOISE = 0.05  # standard deviation of these errors: one lobe for all is rough
 ALIKE = 40.0  # so many pixels count as one: errors of this model are correlated
 ROBUST = 1.5  # errors beyond so many times the noise count linearly
-# radiance, and change of its logarithm between photos, below which nothing is told
+# photos of less radiance, or of less change of its logarithm between them, do not tell their views
 DARK_RADIANCE, SAME_LOG = 0.01, 0.01
 
-# (What is usual, and by how many natural logarithms it varies.) Of twelve real captures with known views
-# heights were 1.7 to 4.0 patch sides with a median of 1.9, and cameras were spread over 0.10 to 0.18 of their
-# height, root mean square by axis.
+# (Usual value, standard deviation of its natural logarithm.) In twelve real captures with known views,
+# heights were 1.7 to 4.0 patch sides (median 1.9), and the root mean square spread of cameras along an axis
+# was 0.10 to 0.18 of their height.
 HEIGHT, SPREAD = (2.2, 0.15), (0.14, 0.15)
 HEIGHTS, EXPOSURES = 0.06, 0.05  # standard deviations, natural logarithms, between the photos of one capture
 SIDEWAYS = 0.5  # patch sides, around the centre
-BEAM = (2.5, 1.5)  # b, and how it varies; the same captures, with known views: 0.7 to 5 but for the mattest
+BEAM = (2.5, 1.5)  # usual b, standard deviation; the same captures: 0.7 to 5, apart from the most matte
 ROUGHNESS = (0.3, 0.5)  # alpha
 LEVELS = (0.1, 1.0)  # level of k as a share of the brightest diffuse
 OWN = 0.7  # how far a texel's own k may be from the level, as a share of it
-F0 = (DIELECTRIC_F0, 0.4)  # median
+F0 = (DIELECTRIC_F0, 0.4)  # usual median over texels
 POWER = (F0[1] ** -2 + USUAL_ALBEDO[1] ** -2) ** -0.5  # standard deviation of the log light power by both
 
 PHOTO = Layout(place=(2,), height=(), exposure=())  # the unknowns of one photo
@@ -71,7 +71,7 @@ class EstimatedViews:
 
 
 def why_not(capture: Capture) -> str | None:
-    """Why the views cannot be estimated from the photos; None where they can, or need not be."""
+    """Why the views cannot be estimated from the photos; None where they can."""
     if len(capture) < LEAST_PHOTOS:
         return f"{LEAST_PHOTOS} photos or more are needed"
     if capture.views.falloff == "none":
@@ -87,10 +87,10 @@ def why_not(capture: Capture) -> str | None:
 
 @entry()
 def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
-    """The capture with views estimated from its photos, if it has none, and a note; and what was found.
+    """An uncalibrated capture with views estimated from its photos, and a note; and the estimate.
 
-    A capture with known views is given back as it is, with None. Where views cannot be estimated
-    (:func:`why_not`), the default geometry is taken, and a note says why.
+    A calibrated capture is returned as it is, with None. Where views cannot be estimated (:func:`why_not`),
+    the capture keeps the default geometry, and a note says why.
     """
     if capture.calibrated:
         return capture, None
@@ -101,9 +101,9 @@ def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
     found = estimate_views(capture)
     height = float(found.views.camera[:, 2].mean()) / found.views.size
     x, y, z = ESTIMATED.unpack(found.deviation.mean(dim=0)).camera.tolist()
-    note = (f"views estimated from the photos alone: cameras about {height:.2f} patch sides away, to about "
-            f"{z:.2f}, and sideways to {max(x, y):.2f}; the light power to a factor of "
-            f"{math.exp(POWER):.1f}")
+    note = (f"views estimated from the photos alone: cameras about {height:.2f} patch sides away "
+            f"(standard deviation {z:.2f}, sideways {max(x, y):.2f}); the light power is known to a factor "
+            f"of {math.exp(POWER):.1f}")
     return capture.but(views=found.views, notes=(*capture.notes, note)), found
 
 
@@ -111,8 +111,7 @@ def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
 def estimate_views(capture: Capture) -> EstimatedViews:
     """The most probable views of photos of an unknown material; a few seconds. See the module.
 
-    The capture has 3 photos or more, and :func:`why_not` gives None for it. Of its views only the unit is
-    used.
+    :func:`why_not` gives None for the capture. Of its views only the unit is used.
     """
     problem = Problem(capture)
     start = np.zeros(problem.layout.size)
@@ -133,7 +132,7 @@ class Problem:
     """The least-squares problem in unknowns whose prior is the standard normal distribution.
 
     By ``layout``: ``photos`` are those of each photo (:data:`PHOTO`: x and y, height relative to the common
-    one, exposure). The others are shared by all: ``height``, ``beam`` (b), ``alpha`` (roughness) and
+    one, exposure). All photos share the others: ``height``, ``beam`` (b), ``alpha`` (of the lobe) and
     ``level`` (of k, relative to the brightest diffuse).
     """
 
@@ -218,7 +217,7 @@ class Problem:
         return rho, k, self._error(rho * diffuse + k * lobe)[0]
 
     def _error(self, radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Errors, 0 where masked or not below a clipped value; and their slope by radiance."""
+        """Errors, 0 where masked and where a clipped value is reached; and their slope by radiance."""
         error = radiance ** (1 / GAMMA) - self.shown
         slope = np.maximum(radiance, 1e-3) ** (1 / GAMMA - 1) / GAMMA
         return np.where(self.clipped & (error > 0), 0, error) * self.known, slope
@@ -236,7 +235,7 @@ class Problem:
         return np.concatenate((robust, u, [math.log(ratio / SPREAD[0]) / SPREAD[1]]))
 
     def power(self, u: np.ndarray) -> float:
-        """Radiant intensity (patch sides squared) at which albedo and F0 are usual, to :data:`POWER`."""
+        """Radiant intensity (patch sides squared) that agrees best with the usual albedo and F0."""
         rho, _, _ = self.texel_fit(u)
         _, _, shared = self.places(u)
         votes = [(math.log(shared["level"] / F0[0]), F0[1]), (math.log(np.median(rho) / USUAL_ALBEDO[0]),

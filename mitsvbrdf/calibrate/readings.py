@@ -31,7 +31,7 @@ Axes = Literal["right-up", "right-down", "left-up", "left-down", "up-right", "up
 WAYS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "up": (0.0, 1.0), "down": (0.0, -1.0)}
 
 READING_SIDE = 16  # pixels a side that are looked at: relief averages out
-LEAST_PHOTOS = 4  # of three, each texel's two numbers leave one free value: right calibrations were not best
+LEAST_PHOTOS = 4  # with three, two numbers a texel leave one value free, and wrong readings fitted better
 ALPHAS = 0.05, 0.1, 0.2, 0.35, 0.6
 DIM = 0.05  # radiance from which on errors count relative to it
 GAINS = 0.8, 1.25  # of a photo, in each of two rounds
@@ -39,7 +39,7 @@ GAINS = 0.8, 1.25  # of a photo, in each of two rounds
 # twenty known materials with right calibrations the best other reading left 1.3 times as much and more.
 CLEARLY = 0.87
 HEIGHTS = 0.4, 20.0  # patch sides; of real captures 1.7 to 4.1. Beyond, a side in another unit is tried
-# Limits beyond any usual median reflectance (diffuse + F0); the same materials: 0.02 to 1.0. USUAL: between.
+# No usual median reflectance (diffuse + F0) is beyond the first two: the same materials have 0.02 to 1.0.
 FAINT, BRIGHT, USUAL = 0.005, 3.0, 0.14
 UNITS = 1e-6, 1e-4, 1e-3, 1e-2, 1e2, 1e3, 1e4, 1e6  # factors on light power from other length or power units
 
@@ -54,7 +54,7 @@ class Reading:
         light_factor: factor by which the stated light power is multiplied.
 
     Raises:
-        ConfigError: values out of range.
+        ConfigError: other axes, or a number out of range.
     """
 
     axes: Axes = "right-up"
@@ -79,7 +79,7 @@ class Reading:
 
         Raises:
             ConfigError: it has no calibration.
-            CaptureError: views that cannot be, such as cameras too near for the side.
+            CaptureError: impossible views, such as cameras too near for the side.
         """
         if self == Reading():
             return capture
@@ -99,7 +99,7 @@ class Reading:
 
 
 class Doubts(NamedTuple):
-    """What photos say against their calibration, in sentences, and whether against its light power."""
+    """What speaks against a calibration, in sentences, and whether its light power is doubted."""
 
     said: tuple[str, ...]
     light: bool
@@ -118,9 +118,9 @@ def mean_radiance(capture: Capture, side: int) -> tuple[Tensor, Tensor]:
 
 @entry()
 def doubts(capture: Capture) -> Doubts | None:
-    """What photos say against a calibration that somebody stated, in about a tenth of a second.
+    """How photos contradict a stated calibration; takes about a tenth of a second.
 
-    None where there is nothing to say, fewer than four photos, or no stated calibration.
+    None without a contradiction, with fewer than four photos, or without a stated calibration.
     """
     if capture.calibration != "given" or len(capture) < LEAST_PHOTOS:
         return None

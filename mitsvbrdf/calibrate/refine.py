@@ -2,10 +2,9 @@
 
 Each photo has seven unknowns: how far its camera stood from where the calibration says (x, y, z), how far its
 flash stood from its place beside the camera (x, y, z), and the natural logarithm of its exposure (light
-power, shutter and gain look alike). They are found as the most probable ones: Gaussian priors around the
-calibration, and residuals in display values, robust (Huber) and one-sided where the photo is clipped, as in
-:mod:`mitsvbrdf.fit.losses`. Levenberg-Marquardt; derivatives are central differences of the float64 analytic
-renderer.
+power, shutter and gain look alike). Levenberg-Marquardt finds the most probable values: Gaussian priors stand
+around the calibration; residuals are in display values, and robust (Huber). Where a photo is clipped, only
+too dark values count. Derivatives are central differences of the float64 analytic renderer.
 
 Residuals are not independent noise: an error of a map affects all pixels around it. So noise is measured on
 the residuals themselves (:meth:`Problem.evidence`). Without that, photos held out of a real fit moved their
@@ -46,7 +45,7 @@ STEP_FLOAT32 = 1e-4  # where values have the digits of float32
 # residuals beyond so many deviations count linearly: 95 % efficient on normal noise (Huber 1981)
 HUBER = 1.345
 BLOCKS = 8  # blocks a side; averages over these show how far residuals are correlated
-ITERATIONS, SETTLED = 30, 1e-2  # at most; and the step, in prior standard deviations, that ends it earlier
+ITERATIONS, SETTLED = 30, 1e-2  # most steps; a step below so many prior standard deviations ends the search
 
 
 @dataclass(frozen=True)
@@ -55,14 +54,13 @@ class Priors:
 
     Args:
         camera: (x, y, z) of each photo's camera; the flash moves along. Captures whose calibration could be
-            checked were right to 0.003 sideways and to 1 to 3 % of their 1.8 sides of height. The default is
-            ten times that sideways, for captures that could not be checked.
+            checked were right to 0.003 sideways and to 1 to 3 % of their 1.8 sides of height. For other
+            captures, the default is ten times that sideways.
         flash: (x, y, z) of each photo's flash from its place beside the camera: highlight centres of real
             captures lie within 0.01 to 0.03 of what one flash offset for all photos predicts.
-        exposure: natural logarithm; a camera that sets exposure or flash by itself repeats itself to about 10
-            %.
-        common_flash: (x, y) of one more offset of the flash, the same in all photos; beside a phone's lens it
-            is up to 0.25.
+        exposure: natural logarithm; an automatic exposure or flash varies by about 10 %.
+        common_flash: (x, y) of one more offset of the flash, the same in all photos; a phone's flash is up to
+            0.25 beside its lens.
     """
 
     camera: tuple[float, float, float] = (0.03, 0.03, 0.05)
@@ -79,9 +77,9 @@ class Priors:
 
 
 # Priors of views that a fit refines together with its maps, by the source of the views. A phone is some two
-# patch sides away: a sheet tells its place to 0.3 % of that, features of the photos to 2 to 3 %. For views
-# estimated from rectified photos, the places of highlights are known. The estimate has settled distance and
-# strength of the flash, and maps would only undo that.
+# patch sides away: a sheet tells its place to 0.3 % of that, features of the photos to 2 to 3 %. "none" is
+# for views estimated from rectified photos: highlights told the places, and the estimate has settled distance
+# and strength of the flash, which maps would only undo.
 PRIORS: dict[Calibration, Priors] = {
     "given": Priors(camera=(0.01, 0.01, 0.02), flash=(0.01, 0.01, 0.01), exposure=0.03,
                     common_flash=(0.15, 0.15)),
@@ -121,7 +119,7 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
         views: the N views to start from, around which the priors stand, such as the capture's.
         capture: the N photos.
         start: changes N x 7 from which the search begins, such as those found with earlier maps; default: 0.
-        renderer: draws everything a scene may need; default: the analytic one, in float64.
+        renderer: one that omits nothing; default: the analytic one, in float64.
 
     Returns:
         A local optimum: a rendered highlight moves to the photo's highlight only if both overlap.
