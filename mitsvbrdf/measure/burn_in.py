@@ -5,10 +5,10 @@ over the photos of a fit. Where it is small a photo showed the texel's highlight
 angle. Maps do follow it where a fit hides highlights in them or falls back to its start. Burn-in is the share
 R^2 of a map's variance that a cubic in the coverage angle explains: 0 for maps that do not follow it
 (3 / (n - 1) on average for n texels of pure noise), 1 for maps that depend on nothing else. A material whose
-own pattern resembles that of the highlights has some, too.
+own pattern resembles that of the highlights has some burn-in, too.
 
-Each highlight leaves an oval as wide as the lobe, which the smallest angle blurs; :func:`local_burn_in`
-looks for ovals. Fine texture counts as variance, so burn-in falls a little with the resolution.
+Each highlight leaves an oval as wide as the lobe. The smallest angle blurs the ovals; :func:`local_burn_in`
+looks for each of them. Fine texture counts as variance, so burn-in falls a little with the resolution.
 """
 
 from collections.abc import Iterator
@@ -24,9 +24,9 @@ from ..views import STRIP, Views, coverage_angle, half_angles, strips
 CONSTANT_BELOW = 1e-6
 LOCAL_SIDE = 64  # texels a side that are looked at for ovals; of larger maps, area averages
 WIDTHS = 0.5, 1.0, 2.0  # of the bumps, in widths of the lobe
-# offsets that fill the square evenly (Roberts 2018): 20 pieces of the material, and 4 that are too near
+# offsets that fill the square evenly (Roberts 2018); 20 of them are larger than NEAR
 ROLLS = 24
-NEAR = 0.25  # least shift of a piece, in sides, both axes added
+NEAR = 0.25  # sum of both axes' offsets, in sides
 SAME = 1e-3  # of the largest singular value: below, a bump is a combination of others
 
 

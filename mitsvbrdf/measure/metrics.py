@@ -24,8 +24,8 @@ def map_rmse(svbrdf: SVBRDF, reference: SVBRDF, encoding: str = "linear") -> dic
     specular maps. Where the resolutions differ, the larger is area-averaged to the smaller first
     (:meth:`SVBRDF.resized`).
 
-    Normals are compared as they are. Published numbers take the vectors as in the files, which are not of
-    unit length because of 8 bits or JPEG: the unit normals of ``load_maps`` give up to 0.001 less.
+    Normals are compared as they are. Published numbers take the vectors as in the files, whose length 8 bits
+    or JPEG changed: the unit normals of ``load_maps`` give up to 0.001 less.
 
     Args:
         reference: the truth.
@@ -151,7 +151,7 @@ def gradient_error(gradient: Tensor, reference: Tensor) -> dict[str, float]:
 
     ``relative_l2``: |g - r| / |r|; ``cosine`` of the angle between them; ``worst``: the largest difference of
     one entry over the largest entry of the reference; ``bias``: (g - r) r / |r|^2, by how much the gradient
-    is too long along the reference. Where the reference is 0 everywhere they are infinite or NaN.
+    is too long along the reference. Where the reference is 0 everywhere, all four are infinite or NaN.
     """
     gradient, reference = _pair(gradient, reference)
     off, length = gradient - reference, reference.norm()

@@ -13,7 +13,7 @@ from ..render import Renderer
 from ..views import Views
 from .metrics import of_all, photo_rmse
 
-PIXELS = 2**22  # that are rendered together
+PIXELS = 2**22  # most pixels that are rendered together
 
 
 def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views,
@@ -49,7 +49,7 @@ def rerendered(renderer: Renderer, svbrdf: SVBRDF, views: Views, capture: Captur
 
 def rerender_errors(renderer: Renderer, svbrdf: SVBRDF, views: Views,
                     capture: Capture) -> tuple[float, list[float]]:
-    """The errors of :func:`rerender` without the images; NaN where one is not finite."""
+    """The errors of :func:`rerender` without the images; NaN where an image is not finite."""
     return rerendered(renderer, svbrdf, views, capture)[:2]
 
 

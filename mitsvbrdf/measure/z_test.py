@@ -20,7 +20,7 @@ from torch import Tensor
 
 from ..errors import ConfigError, MapsError
 
-# at 64 x 64 pixels, values are outside beyond 18 deviations; with six passes beyond 34, which misses much
+# at 64 x 64 pixels, the limit of a value is 18 deviations; with six passes it is 34, which misses much
 FEWEST_PASSES = 8
 SUM_ROUNDING = 1e-5  # relative error of float32 sums: no standard deviation counts as less
 
@@ -31,7 +31,7 @@ class ZTest:
 
     Args:
         z: (image - reference) over its standard deviation, H x W x C, float64.
-        z_limit: a value beyond is outside.
+        z_limit: a value of a larger score is outside.
         outside: share of the values outside.
         outliers: share of the values that may be outside.
         bias: the score of each channel's mean, C.
@@ -65,8 +65,8 @@ def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, refe
         outliers: share of the values that may lie outside.
 
     Raises:
-        MapsError: shapes that differ, too few passes, an image that is not their mean, or a variance that is
-            none.
+        MapsError: shapes that differ, too few passes, an image that is not their mean, or a variance below 0
+            or not finite.
         ConfigError: a significance outside of (0, 1), or outliers outside of [0, 1).
     """
     if not 0 < significance < 1:

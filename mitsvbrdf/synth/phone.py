@@ -96,7 +96,7 @@ MOST_TRIES = 2000  # poses for a photo, each held higher
 
 @dataclass(frozen=True)
 class Shot:
-    """What one photo is to be: its file, the phone's pose, its faults, its EXIF orientation."""
+    """The plan of one photo: its file, the phone's pose, its fault, its EXIF orientation."""
 
     name: str
     pose: Pose
@@ -105,7 +105,7 @@ class Shot:
 
 
 def shots(phone: HandheldPhone, spoil: Sequence[Spoil] = ()) -> list[Shot]:
-    """The photos to take: good ones first, then one for each kind of ``spoil``; names do not tell."""
+    """The photos to take: good ones first, then one for each kind of ``spoil``; names do not tell which."""
     unknown = [kind for kind in spoil if kind not in get_args(Spoil)]
     if unknown or len(set(spoil)) < len(spoil):
         raise ConfigError(f"kinds of {get_args(Spoil)}, each once", ", ".join(unknown or spoil),
@@ -127,8 +127,8 @@ def shots(phone: HandheldPhone, spoil: Sequence[Spoil] = ()) -> list[Shot]:
 def handheld_poses(phone: HandheldPhone, count: int) -> list[Pose]:
     """Hand-held poses: near the nine-view grid, aimed roughly at the middle, turned a little.
 
-    The patch, and all of the sheet where there is one, is within each photo; the phone is held higher where
-    it would not be.
+    Each photo shows the whole patch, and the whole sheet if there is one; the phone is held higher until it
+    does.
     """
     rng, lens = np.random.default_rng([phone.seed, 1]), phone.lens
     half = (Sheet(phone.sheet).outer if phone.sheet else phone.patch) / 2

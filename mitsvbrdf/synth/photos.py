@@ -40,14 +40,14 @@ OTHER, OTHER_SEED = "leather", 7  # what an unrelated photo shows
 def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[..., Any],
                     spoil: Sequence[Spoil] = ()) -> tuple[Iterator[tuple[Shot, NDArray[np.uint8]]],
                                                           dict[str, Any]]:
-    """Photos of a material, each taken when it is asked for, and the truth about them.
+    """Photos of a material, each taken when the iterator reaches it, and the truth about them.
 
     The maps cover the whole sample. ``renderer`` makes a :class:`mitsvbrdf.synth.traced.HandheldRenderer`.
     Photos are H x W x 3 display values (sRGB, 8 bits), the last ones spoiled as in ``spoil``. The truth is
     what ``truth.json`` says: ``rig`` (see :func:`mitsvbrdf.capture.rig.rig_to_json`, of all photos, in cm),
     ``intensity`` of the flash (a white diffuse texel has the radiance I cos / (pi d^2), d in cm, where
     radiance 1 is display value 1), ``falloff``, ``transfer``, ``sample_cm``, ``sheet_cm``, ``depth_cm``,
-    ``spoiled`` (kind by name of the photo), and the ``phone``. ConfigError: an option out of range.
+    ``spoiled`` (kind by name of the photo), and the ``phone``. ConfigError: a wrong option, or no light.
     """
     phone.check()
     plan, lens = shots(phone, spoil), phone.lens
@@ -78,8 +78,8 @@ def _metered(scene: Any, phone: HandheldPhone, pose: Pose) -> float:
     radiance = scene.render(lens, pose, intensity=1.0) * _transmission(lens, 0, lens.size[1])
     exposed = max(radiance.mean() / BRIGHTNESS, np.quantile(radiance, 1 - MOST_CLIPPED))
     if not (exposed > 0 and radiance.min() >= 0):  # refuses NaN, too
-        raise ConfigError("light in the first photo", f"radiance from {radiance.min():g} to "
-                          f"{radiance.max():g}", "check --flash and --vignetting; the material may be black")
+        raise ConfigError("light in the first photo", f"radiance {radiance.min():g} to {radiance.max():g}",
+                          "check --flash and --vignetting; the material may be black")
     return float(1 / exposed)
 
 
@@ -147,12 +147,11 @@ def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...,
                    spoil: Sequence[Spoil] = (),
                    report: Callable[[int, int], object] = lambda done, count: None,
                    **about: object) -> dict[str, Any]:
-    """Write photos of :func:`handheld_photos`, ``truth/truth.json`` and the maps ``truth/sample``; gives the
-    truth.
+    """Write photos of :func:`handheld_photos`, ``truth/truth.json`` and the maps ``truth/sample``.
 
-    With a sheet also ``truth/maps``, of just the patch within it, as a fit finds them. Without one the photos
-    alone say where the patch is. ``report`` is told (done, of how many) after each photo; ``about`` are more
-    fields for truth.json.
+    With a sheet, also write ``truth/maps``, of just the patch within it, as a fit finds them. Without one,
+    the photos alone say where the patch is. ``report`` gets (done, of how many) after each photo; ``about``
+    are more fields of truth.json. The truth is returned.
     """
     photos, truth = handheld_photos(svbrdf, phone, renderer, spoil)
     for done, (shot, pixels) in enumerate(photos, 1):

@@ -30,7 +30,7 @@ class HandheldRenderer:
 
     The maps are read bilinearly. Light arrives straight from the flash, with shadows; light reflected twice
     is left out. A :class:`mitsvbrdf.capture.align.sheet.Sheet` may lie on the sample, ``depth`` cm above it.
-    ``samples``: rays a pixel, stratified and jittered: 1, 4, 16, ...
+    ``samples``: rays a pixel, 1, 4, 16, ...; more than one are stratified and jittered.
     """
 
     def __init__(self, svbrdf: SVBRDF, side: float, sheet: Sheet | None = None, depth: float = 0.0,

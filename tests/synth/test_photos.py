@@ -19,7 +19,7 @@ from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.material.map_files import load_maps
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.synth.phone import HandheldPhone, handheld_poses, shots
-from mitsvbrdf.synth.photos import READ, SHOT, developed, handheld_photos, write_handheld
+from mitsvbrdf.synth.photos import READ, SHOT, developed, handheld_photos, spoiled, write_handheld
 from mitsvbrdf.synth.traced import HandheldRenderer
 
 
@@ -105,8 +105,7 @@ def test_spoiled_photos_are_what_they_are_called():
     assert truth["spoiled"] == dict(zip(list(taken)[3:], kinds))
     blurred, finger, noflash, duplicate, rotated, unrelated = list(taken.values())[3:]
     first = taken["IMG_0001.jpg"][1]
-    # this sample has nothing to blur, see below
-    assert blurred[1].mean() == pytest.approx(first.mean(), rel=0.2)
+    assert blurred[1].mean() == pytest.approx(first.mean(), rel=0.2)  # nothing to blur here, see below
     height, width = first.shape[:2]
     left, right = finger[1][height // 2, width // 8], finger[1][height // 2, 7 * width // 8]
     assert left.max() < 70 and left[0] > 1.5 * left[2] and right.min() > 80
@@ -126,7 +125,6 @@ def test_spoiled_photos_are_what_they_are_called():
 
 
 def test_blur_blurs():
-    from mitsvbrdf.synth.photos import spoiled
     picture = np.zeros((300, 400, 3), dtype=np.float32)
     picture[150, 200] = 1
     blurred = spoiled(picture, "blurred")
@@ -150,9 +148,8 @@ def test_a_seed_gives_the_same_photos_and_another_others():
 @pytest.mark.parametrize("wrong, match", [
     ({"megapixels": 0}, "megapixels"), ({"megapixels": math.nan}, "megapixels"), ({"photos": 0}, "photos"),
     ({"sheet": 2.0}, "sheet"), ({"depth": -1.0}, "depth"), ({"side": 1.0}, "side"),
-    ({"side": 8.0, "sheet": 18.0}, "hole"),
-    ({"tilt": 0.0}, "tilt"), ({"grain": -1.0}, "grain"), ({"jpeg": 101}, "jpeg"),
-    ({"focal_35mm": 0.0}, "focal")])
+    ({"side": 8.0, "sheet": 18.0}, "hole"), ({"tilt": 0.0}, "tilt"), ({"grain": -1.0}, "grain"),
+    ({"jpeg": 101}, "jpeg"), ({"focal_35mm": 0.0}, "focal")])
 def test_phones_that_cannot_be(wrong, match):
     with pytest.raises(ConfigError, match=match):
         HandheldPhone(**wrong).check()
@@ -224,10 +221,9 @@ def test_true_maps_within_a_sheet_are_those_of_the_patch(tmp_path):
 
 
 @pytest.mark.parametrize("arguments", [
-    ["--sheet", "18"], ["--spoil", "finger"], ["--handheld", "--noise", "0.1", "--photos", "1",
-                                               "--megapixels", "0.05"],
-    ["--handheld", "--spoil", "nonsense"], ["--handheld", "--megapixels", "1000"],
-    ["--handheld", "--seed", "-1"]])
+    ["--sheet", "18"], ["--spoil", "finger"], ["--handheld", "--spoil", "nonsense"],
+    ["--handheld", "--noise", "0.1", "--photos", "1", "--megapixels", "0.05"],
+    ["--handheld", "--megapixels", "1000"], ["--handheld", "--seed", "-1"]])
 def test_options_that_do_not_go_together(tmp_path, capsys, arguments):
     assert cli.main(["synth", "builtin:tiles", "-o", str(tmp_path / "out"), "--resolution", "16",
                      *arguments]) == 2
