@@ -10,7 +10,7 @@ INTERRUPTED = 130
 def main() -> int:
     """Run ``mitsvbrdf`` with the arguments of the process; returns the exit code."""
     heard = signal.getsignal(signal.SIGINT) == signal.default_int_handler
-    if heard:  # at once, and quietly: nothing is begun yet
+    if heard:  # until the command runs, Ctrl-C ends the process at once and without a message
         signal.signal(signal.SIGINT, signal.SIG_DFL)
     # Idle threads sleep: torch and Dr.Jit have a pool each and take turns. Torch reads this when it loads.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")

@@ -38,7 +38,7 @@ class Operations(NamedTuple):
 
 
 class Response(NamedTuple):
-    """Two functions of a value and :class:`Operations`, inverse to each other. Both map 0 to 0 and 1 to 1."""
+    """Two inverse functions of a value and :class:`Operations`. Both map 0 to 0 and 1 to 1."""
 
     encode: Callable[[Any, Operations], Any]
     decode: Callable[[Any, Operations], Any]
@@ -139,7 +139,7 @@ def encode(linear: Tensor, transfer: Transfer = "gamma2.2") -> Tensor:
     """Linear radiance to display values: not clipped, with a finite slope everywhere.
 
     Args:
-        linear: any shape, any float dtype; negative values are extended along the tangent at 0.
+        linear: any shape, any float dtype; below 0 the response continues along its tangent at 0.
 
     Returns:
         Display values of the same shape; 1 maps to 1. :func:`clip` limits them as a photo does.

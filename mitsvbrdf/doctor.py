@@ -1,6 +1,6 @@
 """What is installed here, whether it suffices for fits through Mitsuba, and how to get what is missing.
 
-Nothing is imported before it is known to be safe: an unsuitable libLLVM is loaded in a child process only.
+An unsuitable libLLVM would abort the process, so each is tried in a child process before Mitsuba is loaded.
 """
 
 import importlib
@@ -18,7 +18,7 @@ PACKAGES = {"torch": "torch", "numpy": "numpy", "opencv": "cv2", "OpenEXR": "Ope
             "safetensors": "safetensors", "scipy": "scipy", "matplotlib": "matplotlib", "jinja2": "jinja2",
             "pillow": "PIL", "simplejpeg": "simplejpeg", "imagecodecs": "imagecodecs", "filelock": "filelock",
             "msgspec": "msgspec", "pandas": "pandas", "tyro": "tyro", "rich": "rich"}
-# By the extra that installs it.
+# modules, by the name of the extra that installs them
 EXTRAS = {"flip": "flip_evaluator", "movie": "av", "heic": "pillow_heif", "raw": "rawpy", "batch": "ray",
           "s3": "s3fs"}
 DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "flip_evaluator": "flip-evaluator",
@@ -32,7 +32,7 @@ class Row:
     name: str  # what was looked at
     value: str  # what was found
     ok: bool | None = None  # whether it serves; None for plain information
-    fix: str = ""  # the exact line that mends it
+    fix: str = ""  # the way out, as a line to type where there is one
 
 
 def diagnose(variant: str = "llvm_ad_rgb") -> list[Row]:
@@ -57,7 +57,7 @@ def doctor(json: bool = False, variant: str = "llvm_ad_rgb") -> int:
     if json:
         print(dumps({"ok": well, "rows": [asdict(row) for row in rows]}, indent=1))
         return 0 if well else 1
-    # plain text: it must print even if rich is missing, and pastes well into a bug report
+    # plain text works without rich, and pastes well into a bug report
     for row in rows:
         print(f"{ {True: 'ok', False: 'NO', None: ''}[row.ok]:3}{row.name:22}{row.value}")
         if row.fix:

@@ -15,14 +15,14 @@ from typing import Any
 
 
 class MitsvbrdfError(Exception):
-    """A mistake that the caller can correct: the expected input, the one given, and the way out."""
+    """A mistake that the caller can correct: the expected input, the input given, and the way out."""
 
     def __init__(self, expected: str, got: str, fix: str) -> None:
         super().__init__(f"expected {expected}, got {got}; {fix}")
         self.expected, self.got, self.fix = expected, got, fix
 
 
-LARGEST = 1e10  # of any number in an option: float32 holds its square
+LARGEST = 1e10  # largest number in an option: float32 holds its square
 
 
 class CaptureError(MitsvbrdfError):
@@ -85,7 +85,7 @@ def warn_of(fault: str, path: Path | None = None, stacklevel: int = 2) -> None:
 
 @contextlib.contextmanager
 def noted() -> Iterator[list[str]]:
-    """Inside, each fault that this thread warns of is kept as a note, without the path."""
+    """Inside, each fault that this thread warns of is kept as a note, with the file's name for its path."""
     notes: list[str] = []
     token = _notes.set((*_notes.get(), notes))
     try:

@@ -1,4 +1,4 @@
-"""Arguments of another kind than their annotation states are refused at the edge of the Python API."""
+"""The edge of the Python API refuses arguments whose type does not match their annotation."""
 
 import functools
 import inspect
@@ -15,12 +15,12 @@ from .errors import ConfigError
 P = ParamSpec("P")
 T = TypeVar("T")
 
-# wider kinds that an annotation accepts
+# wider types that an annotation accepts
 _WIDER: dict[Any, Any] = {float: numbers.Real, Path: os.PathLike, tuple: (tuple, list)}
 
 
 def kinds_checked(function: Callable[P, T]) -> Callable[P, T]:
-    """The function; arguments of another kind than their annotations raise ConfigError."""
+    """The function, wrapped: it raises ConfigError for an argument that does not match its annotation."""
     @functools.wraps(function)
     def called(*args: P.args, **kwargs: P.kwargs) -> T:
         check_arguments(function, args, kwargs)
@@ -30,12 +30,12 @@ def kinds_checked(function: Callable[P, T]) -> Callable[P, T]:
 
 
 def check_arguments(function: Callable, args: tuple, kwargs: Mapping[str, Any]) -> None:
-    """Raise ConfigError for the first argument that is not of its annotation's kind."""
+    """Raise ConfigError for the first argument that does not match its annotation."""
     _check(function, (*zip(_about(function)[1], args), *kwargs.items()))
 
 
 def check_fields(instance: Any, *names: str) -> None:
-    """Raise ConfigError for the first field of a dataclass, of all or of ``names``, of another kind."""
+    """Raise ConfigError for the first of the fields (default: all) that does not match its annotation."""
     wanted = names or [field.name for field in fields(instance)]
     _check(type(instance), ((name, getattr(instance, name)) for name in wanted))
 
@@ -52,7 +52,7 @@ def _check(owner: Any, values: Iterable[tuple[str, object]]) -> None:
 
 @functools.cache
 def _about(owner: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """The annotations by name, without those that only a type checker can resolve, and positional names."""
+    """Annotations by name (none where one names what only a type checker knows), and positional names."""
     try:
         hints = get_type_hints(owner)
     except NameError:
@@ -63,7 +63,7 @@ def _about(owner: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
 
 
 def _fits(value: object, hint: Any) -> bool:
-    """Whether a value is of this kind; contents of collections and words of a Literal are not checked."""
+    """Whether a value matches an annotation; contents of collections, words of a Literal are not checked."""
     origin = get_origin(hint) or hint
     if origin in (Union, types.UnionType):
         return any(_fits(value, each) for each in get_args(hint))

@@ -19,7 +19,7 @@ from torch import Tensor
 from .errors import CaptureError, ConfigError, NotFiniteError
 from .kinds import check_fields
 
-FIELD_OF_VIEW = 60.0  # degrees across the long side without EXIF: a phone's wide camera has 60 to 70
+FIELD_OF_VIEW = 60.0  # degrees across the long side, if EXIF states none; phones' wide cameras: 60 to 70
 
 Falloff = Literal["inverse-square", "none"]
 
@@ -46,10 +46,9 @@ class Views:
     """A set of views of one patch.
 
     Args:
-        camera: N x 3, positions with z > 0.
-        light: N x 3, positions with z > 0.
-        intensity: N x 3, radiant intensity I of each light (rgb); irradiance is I cos / d^2. All three are
-            float tensors.
+        camera: N x 3, float, positions with z > 0.
+        light: N x 3, float, positions with z > 0.
+        intensity: N x 3, float, radiant intensity I of each light (rgb); irradiance is I cos / d^2.
         size: side of the patch, in the unit of the positions.
         falloff: ``inverse-square``, or ``none`` for the paper's light without attenuation. The irradiance
             factor is then that of the patch centre everywhere, I / |light|^2.
@@ -93,7 +92,7 @@ class Views:
             intensity: a number, 3 numbers, N x 3, or N x 1 of white lights.
 
         Raises:
-            CaptureError: it names the first wrong row.
+            CaptureError: other shapes, or a value that :meth:`check` refuses; it names the first wrong row.
         """
         try:
             camera, light, power = (torch.as_tensor(camera if values is None else values, dtype=torch.float64)
@@ -198,7 +197,7 @@ class Views:
 
 
 def shift_lights(views: Views, flash_offset: tuple[float, float] | None) -> Views:
-    """The views with every light moved sideways by this much, in patch sides."""
+    """The views with every light moved sideways by (x, y) patch sides; None: unchanged."""
     if flash_offset is None:
         return views
     return replace(views, light=views.light + views.light.new_tensor([*flash_offset, 0.0]) * views.size)
@@ -261,9 +260,9 @@ def default_views(count: int, field_of_view: float = FIELD_OF_VIEW, share: float
 
 
 def geometry(views: Views, resolution: int, rows: slice = ALL) -> tuple[Tensor, Tensor, Tensor]:
-    """Unit vectors to the light, half vectors and irradiance at flat texels, in all rows or in ``rows``.
+    """Unit vectors to the light, half vectors and irradiance at flat texels: N x R x R x 3 each, float32.
 
-    N x R x R x 3 each.
+    ``rows``: the rows of the map to give; default: all.
     """
     views, texels = views.in_patch_sides(), texel_positions(resolution, rows=rows)
     light, camera = (x[:, None, None] - texels for x in (views.light, views.camera))
