@@ -41,6 +41,7 @@ WRONG = {
     "photos by the name of their folder": lambda: make_capture("photos"),
     "photos by number": lambda: photos_in(5),
     "a photo by number": lambda: Photo.open(5), "photos averaged to text": lambda: CAPTURE.averaged("4"),
+    "photos averaged to nothing": lambda: CAPTURE.averaged(-1),
     "photos sampled to text": lambda: CAPTURE.sampled("4"),
     "photos sampled to nothing": lambda: CAPTURE.sampled(0), "a sheet by number": lambda: write_sheet(5),
     "a sheet's size of text": lambda: write_sheet("sheet.pdf", "18"),

@@ -212,6 +212,8 @@ class Capture:
     @kinds_checked
     def averaged(self, resolution: int) -> Capture:
         """The photos at another size, by area averages of display values."""
+        if resolution < 1:
+            raise ConfigError("a resolution of 1 or more", str(resolution), "choose a larger one")
         photos = [area_averaged(self.photo(row), resolution) for row in range(len(self))]
         return replace(self, photos=torch.stack(photos), measured=self.measured_at(resolution),
                        single=self.single_at(resolution))
@@ -241,8 +243,7 @@ class Capture:
         index = whole_numbers(index)
         missing = [i for i in index if i not in self.index]
         if missing or not index:
-            raise CaptureError(f"photo numbers out of {list(self.index)}", f"{missing or 'none'}",
-                               "check --views")
+            raise CaptureError(f"photos out of {list(self.index)}", f"{missing or 'none'}", "check --views")
         if len(set(index)) < len(index):
             raise CaptureError("each photo once", f"photos {list(index)}", "take the repeated number out")
         rows = [self.index.index(i) for i in index]
