@@ -55,7 +55,7 @@ BEAM = (2.5, 1.5)  # usual b, standard deviation; the same captures: 0.7 to 5, a
 ROUGHNESS = (0.3, 0.5)  # alpha
 LEVELS = (0.1, 1.0)  # level of k as a share of the brightest diffuse
 OWN = 0.7  # how far a texel's own k may be from the level, as a share of it
-F0 = (DIELECTRIC_F0, 0.4)  # usual median over texels
+F0 = (DIELECTRIC_F0, 0.4)  # of the level of k
 POWER = (F0[1] ** -2 + USUAL_ALBEDO[1] ** -2) ** -0.5  # standard deviation of the log light power by both
 
 PHOTO = Layout(place=(2,), height=(), exposure=())  # the unknowns of one photo
