@@ -24,13 +24,14 @@ def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS
         svbrdf: the material.
         out: made when missing.
         to: of :data:`FORMATS`.
+        settings: names, bits, size and licence.
         views: the first one is shown by the Mitsuba scene; default: from above, near the centre.
 
     Returns:
         What was written, by format.
 
     Raises:
-        ConfigError: an unknown format, an option of ``maps`` without it, or a side out of range.
+        ConfigError: an unknown format, a naming or DirectX normals without ``maps``, or a side out of range.
         MapsError: values out of range (:meth:`SVBRDF.check`).
     """
     from . import gltf, maps, materialx, mitsuba, usd
@@ -53,7 +54,7 @@ def check_options(to: Sequence[str], settings: ExportSettings = DEFAULTS) -> Non
     """Raise ConfigError for what :func:`export_material` does not know, before anything is written."""
     for kind in to or ("",):
         if kind not in FORMATS:
-            raise ConfigError(f"formats of {', '.join(FORMATS)}", repr(kind), "choose of these")
+            raise ConfigError(f"formats of {', '.join(FORMATS)}", repr(kind), "choose some of these")
     for what, value, literal in (("a naming", settings.naming, Naming),
                                  ("a normal convention", settings.normal, NormalConvention),
                                  ("bits", settings.bits, Bits)):

@@ -44,9 +44,8 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
                 "without it": shown_residual(svbrdf, material)}
     else:
         lost = {"base colour as it is": shown_residual(svbrdf, svbrdf)}
-    shaded = occlusion(heights(svbrdf["normal"], settings.repeats), settings.repeats)
-    shaded = shaded[..., None].to(material["roughness"])
-    packed = torch.cat((shaded, material["roughness"], material["metallic"]), dim=-1)
+    sky = occlusion(heights(svbrdf["normal"], settings.repeats), settings.repeats)[..., None]
+    packed = torch.cat((sky.to(material["roughness"]), material["roughness"], material["metallic"]), dim=-1)
     images = {"base_color": material["base_color"], "metallic_roughness": packed,
               "normal": material["normal"]}
     textures = [described(f"{FILE}: base_color", "base_color", 8),

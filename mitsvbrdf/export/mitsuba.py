@@ -22,7 +22,7 @@ from .textures import DEFAULTS, LINEAR, NORMALS, NOTES, Export, ExportSettings, 
 SCENES = next((p for p in (Path(__file__).parents[1] / "scenes", Path(__file__).parents[2] / "scenes")
                if p.is_dir()), Path("scenes"))
 
-LIGHT_NOTE = "the light of scene.xml falls off with 1 / d^2, whatever the fit's did"
+LIGHT_NOTE = "the light of scene.xml falls off with 1 / d^2, even if the fit assumed no falloff"
 
 
 @entry()

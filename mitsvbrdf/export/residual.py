@@ -40,7 +40,7 @@ def residual(svbrdf: SVBRDF, converted: SVBRDF) -> dict[str, float]:
 
 def shown_residual(svbrdf: SVBRDF, material: SVBRDF, f0: Tensor = GLASS, taken: Tensor | None = None,
                    ) -> dict[str, float]:
-    """:func:`residual` of what a client shows (:func:`mitsvbrdf.material.conversion.as_shown`); of large
+    """:func:`residual` of what a program shows (:func:`mitsvbrdf.material.conversion.as_shown`); of large
     maps, every k-th texel counts. By default, the highlight takes the largest channel of ``f0``.
     """
     taken = f0.amax(dim=-1, keepdim=True) if taken is None else taken

@@ -37,7 +37,7 @@ class ExportSettings:
             any unit.
         licence: what users may do with it, in every ``export.json`` and in the GLB.
         repeats: whether its edges meet (:func:`mitsvbrdf.material.tiling.seamless`): textures then repeat,
-            and heights go on.
+            and heights continue across the edges.
     """
 
     name: str = "material"
@@ -101,7 +101,7 @@ class Export:
 
     files: tuple[str, ...]  # the files to open, relative to the folder
     textures: tuple[Texture, ...]  # all textures
-    notes: tuple[str, ...] = ()  # what the format cannot say, and what it says in another way
+    notes: tuple[str, ...] = ()  # what the format cannot express, and what it expresses in another way
     # what is lost on the way, by kind of conversion; see mitsvbrdf.export.residual.residual
     conversion: dict[str, dict[str, float]] | None = None
 

@@ -57,21 +57,21 @@ def profile_of(image: Image.Image, path: Path) -> Profile | None:
     icc = image.info.get("icc_profile")
     if points and (image.format == "PNG" or not icc):
         if points.get("full_range_flag") == 0 and str(exif_of(image, MAKE)).upper().startswith("SONY"):
-            return Profile("limited range", reason="Sony's cameras state it of full range: its decoder clips")
+            return Profile("limited range", reason="Sony's cameras state it wrongly; decoding clips values")
         return _of_points(points["color_primaries"], points["transfer_characteristics"])
     if icc:
         found = _of_icc(icc)
         wrong = found and found.grey and image.mode not in GREY
-        return Profile(found.name, reason="of grey, beside colours") if found and wrong else found
+        return Profile(found.name, reason="for grey, in a picture of colours") if found and wrong else found
     if image.format == "PNG" and "srgb" not in image.info:
         return _of_png(image)
-    return None if image.format == "PNG" else _of_exif(image)  # that of a PNG would decode it
+    return None if image.format == "PNG" else _of_exif(image)  # reading a PNG's EXIF would decode the PNG
 
 
 def exif_of(image: Image.Image, tag: int, block: int = 0) -> Any:
     """The value of a tag in a block of EXIF, by default the first; None if absent or unreadable."""
     try:
-        found = Image.Image.getexif(image)  # that of a PNG would decode it
+        found = Image.Image.getexif(image)  # PngImageFile.getexif would decode the picture
         return (found.get_ifd(block) if block else found).get(tag)
     except Exception:
         return None
@@ -160,7 +160,7 @@ def _of_icc(icc: bytes) -> Profile | None:
         opened = ImageCms.ImageCmsProfile(io.BytesIO(icc))
         name = ImageCms.getProfileDescription(opened).strip() or "a nameless ICC profile"
         if (space := opened.profile.xcolor_space.strip()) not in ("RGB", "GRAY"):
-            return Profile(name, reason=f"of {space}, beside RGB")
+            return Profile(name, reason=f"for {space}, neither RGB nor grey")
         return _unless_srgb(Profile(name, icc, space == "GRAY"))
     except Exception as reason:  # littleCMS and its two wrappers raise all kinds
         return Profile(name, reason=str(reason))

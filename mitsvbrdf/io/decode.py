@@ -26,7 +26,7 @@ MAGIC = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG", b"II*\0": "TIFF",
 HEIF_BRANDS = b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"
 DNG_VERSION = b"\x12\xc6\1\0\4\0\0\0", b"\xc6\x12\0\1\0\0\0\4"  # tag 50706 of TIFF, four bytes
 BITS, PHOTOMETRIC, ORIENTATION, EXTRA_SAMPLES = 258, 262, 274, 338  # tags of TIFF; EXIF has the third
-BETWEEN = 10, 12, 14  # bits of TIFFs that libtiff gives in 16; Pillow is told of them for their headers
+BETWEEN = 10, 12, 14  # bits a value of TIFFs that libtiff decodes to 16; Pillow reads their headers by these:
 for _ends, _bits, (_meaning, _count) in product((b"II", b"MM"), BETWEEN, ((0, 1), (1, 1), (2, 3))):
     TiffImagePlugin.OPEN_INFO.setdefault((_ends, _meaning, (1,), 1, (_bits,) * _count, ()),
                                          ("I;16" if _count == 1 else "RGB", f"I;{_bits}"))
@@ -37,7 +37,7 @@ UNTURNED = {3: 2, 6: 1, 8: -1}
 
 
 class Header(NamedTuple):
-    """What a file says of itself."""
+    """What a picture's header states."""
 
     kind: str  # PNG, JPEG, TIFF, WEBP or HEIF
     size: tuple[int, int]  # width and height as stored
@@ -75,7 +75,7 @@ def kind_of(path: Path) -> str:
 
 
 def header(path: Path, error: type[MitsvbrdfError]) -> Header:
-    """Read the header alone, and raise ``error`` for what is no picture, or is larger than any photo."""
+    """Read the header alone. ``error`` is raised for a file that is no picture, or larger than any photo."""
     if not path.is_file():  # reading a pipe or a device would wait
         raise error("an image file", f"no file at {path}", "check the name")
     with _named(path, error):
@@ -139,7 +139,7 @@ def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Pict
 
 
 def _check_boxes(path: Path) -> None:
-    """ValueError for a HEIC that ends early. Its decoder would leave missing tiles grey, in silence."""
+    """ValueError for a HEIC that ends early. Its decoder would leave missing tiles grey without a warning."""
     with open(path, "rb") as file:
         at, end = 0, file.seek(0, 2)
         while at + 8 <= end:
@@ -161,20 +161,20 @@ def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
 
 
 def check_size(path: Path, size: tuple[int, int], error: type[MitsvbrdfError]) -> None:
-    """Raise for a picture of more pixels or bytes than any camera makes, before it fills the memory."""
+    """Raise ``error`` for a picture of more pixels or bytes than any camera makes, before memory is full."""
     if size[0] * size[1] > MOST_PIXELS:
-        raise error(f"photos of at most {MOST_PIXELS / 1e6:.0f} megapixels",
+        raise error(f"pictures of at most {MOST_PIXELS / 1e6:.0f} megapixels",
                     f"{path} of {size[0]} x {size[1]} pixels", "shrink it, or leave it out")
     if (held := path.stat().st_size) > MOST_BYTES:
-        raise error(f"files of at most {MOST_BYTES / 1e9:.0f} GB", f"{path} of {held / 1e9:.0f}",
+        raise error(f"files of at most {MOST_BYTES / 1e9:.0f} GB", f"{path} of {held / 1e9:.1f} GB",
                     "export it again")
 
 
 @contextlib.contextmanager
 def opened(path: Path, kind: str) -> Iterator[Image.Image]:
-    """Open a file in Pillow as this kind alone: Pillow hands PostScript of any name to Ghostscript.
+    """Open a file in Pillow as this kind only. Left to choose, Pillow hands PostScript to Ghostscript.
 
-    By its name, Pillow would map a plain TIFF into memory, and not turn it upright as it does all others.
+    Pillow gets an open file. Given a path, it maps a plain TIFF into memory and does not turn it upright.
     """
     most, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
     try:
@@ -186,7 +186,7 @@ def opened(path: Path, kind: str) -> Iterator[Image.Image]:
 
 
 def _jpeg(path: Path, content: bytes) -> np.ndarray:
-    """Decode, and warn where the decoder complains; only libjpeg-turbo's own interface tells that."""
+    """Decode, and warn where the decoder complains; only libjpeg-turbo's own interface reports damage."""
     try:
         return simplejpeg.decode_jpeg(content, strict=True)
     except ValueError as complaint:
@@ -201,7 +201,7 @@ def _jpeg(path: Path, content: bytes) -> np.ndarray:
 def _decoded(decode: Callable[[bytes], np.ndarray], content: bytes, masked: bool) -> np.ndarray:
     try:
         pixels = decode(content)
-    except Exception as reason:  # the library's own
+    except Exception as reason:  # each codec has an error of its own
         raise ValueError(str(reason)) from None
     if pixels.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"an image of 8 or 16 bits is needed, not of {pixels.dtype}")

@@ -3,7 +3,7 @@
 torch's default dtype belongs to the process, gradient and inference mode to the thread. Behind the edge the
 default dtype is float32, gradients are recorded where a function needs them, and no tensor is an inference
 tensor, which autograd refuses. The program's own default comes back when the last call of all threads ends.
-Where a program imported torch first, OpenMP's idle threads spin; torch then has one thread during calls.
+Where a program imported torch first, OpenMP's idle threads spin; torch then uses one thread during calls.
 """
 
 import contextlib
@@ -26,8 +26,8 @@ SPINS = os.environ.get("OMP_WAIT_POLICY", "").upper() != "PASSIVE"  # we set it 
 _lock = threading.Lock()
 _calls = 0  # calls of all threads that are behind the edge now
 _default = torch.float32  # the default dtype that the first of these calls found
-_threads: dict[int, int] = {}  # of torch, by the thread that is behind the edge: it has so many again later
-_undo: dict[str, Callable[[], object]] = {}  # what undoes each other change, by its name ``what``
+_threads: dict[int, int] = {}  # torch's number of threads before the call, by the thread that calls
+_undo: dict[str, Callable[[], object]] = {}  # undoes changes of other process-wide state, by their names
 
 
 def entry(gradients: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]:
@@ -60,7 +60,7 @@ def _float32() -> Iterator[None]:
         _calls += 1
         me = threading.get_ident()
         outermost = SPINS and me not in _threads
-        if outermost:  # a new thread begins with the number that was set last, which is ours beside a call
+        if outermost:  # a new thread begins with the number set last: during another call that is our 1
             threads = torch.get_num_threads()
             _threads[me] = max(_threads.values()) if threads == 1 and _threads else threads
             torch.set_num_threads(1)

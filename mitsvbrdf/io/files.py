@@ -253,7 +253,7 @@ def _places(path: Path) -> tuple[Path, Path]:
         target = Path(os.path.realpath(path))
     except FileNotFoundError:
         raise OutputError(f"a current folder to write {path} in", "one that was deleted",
-                          "change to one that is there, or name a whole path") from None
+                          "change to an existing folder, or give an absolute path") from None
     check_names(target)
     if os.path.lexists(target) and not target.is_file():  # a rename would replace a device or a pipe
         what = "a folder" if target.is_dir() else "no regular file"

@@ -31,7 +31,7 @@ OUTSIDE = 1e-4  # share of the brightest value by which rounding may put a colou
 # are not read.
 SETS = ("RGB", "rgb", "XYZ", "xyz", "RG", "XY", "Y", "V", "R")
 T = TypeVar("T")
-MAIN = "Combined"  # layer of Blender's that holds the picture itself
+MAIN = "Combined"  # Blender's layer of the picture itself
 
 
 def read_image(path: Path, error: type[MitsvbrdfError], data: bool = False, alpha: bool = False) -> Tensor:
@@ -101,7 +101,7 @@ def read_exr(path: Path, error: type[MitsvbrdfError]) -> np.ndarray:
 
 def _together(path: Path) -> np.ndarray | None:
     """Red, green and blue as one array; None where they, or alpha, differ in data type."""
-    with contextlib.suppress(Exception):  # of whatever kind OpenEXR's is
+    with contextlib.suppress(Exception):  # OpenEXR raises several kinds
         (channel,) = OpenEXR.File(str(path)).channels().values()
         return channel.pixels[..., :3]
     return None
@@ -176,7 +176,7 @@ def display(pixels: np.ndarray) -> np.ndarray:
 def averaged(pixels: np.ndarray, side: int) -> np.ndarray:
     """Square pixels (S x S x 3, 8 or 16 bits or float32), averaged to display values, ``side`` pixels a side.
 
-    It works on bands that hold whole rows of the result, and needs little memory beyond the pixels.
+    The pixels are averaged in bands that hold whole rows of the result, which needs little memory.
     """
     import cv2
 
@@ -194,7 +194,7 @@ def averaged(pixels: np.ndarray, side: int) -> np.ndarray:
 
 
 def hide(photo: np.ndarray, shown: np.ndarray) -> None:
-    """Put NaN where an average of a square photo (S x S) holds a masked pixel."""
+    """Put NaN into an averaged photo (S x S x 3) where it averages a pixel that is False in ``shown``."""
     import cv2
 
     photo[cv2.resize((~shown).astype(np.float32), photo.shape[:2], interpolation=cv2.INTER_AREA) > 0] = np.nan
@@ -228,7 +228,7 @@ def write_png(path: Path, image: Tensor, bits: int = 8, shown: Callable[[Tensor]
               ) -> None:
     """An 8- or 16-bit PNG of display values in [0, 1] (clipped), H x W x 1, 3 or 4 (alpha).
 
-    ``shown`` makes display values of some rows of the image.
+    ``shown`` converts rows of the image to display values.
     """
     write_bytes(path, encode_png(image, bits, shown))
 

@@ -1,4 +1,4 @@
-"""Our files in a result folder: its manifest lists them. Each new result raises the serial number there."""
+"""The manifest of a result folder: a list of our files, and a serial number that each new result raises."""
 
 import os
 from pathlib import Path
@@ -12,7 +12,7 @@ DERIVED = {"export": "export.json", "relight": "relight.json"}
 
 
 def own_files(out: Path) -> list[str]:
-    """Names of the files that commands put into ``out``, as its manifest lists them; none without one."""
+    """Names of the files that commands put into ``out``, as its manifest lists them; empty without one."""
     names = _manifest(out).get("files")
     return [name for name in (names if isinstance(names, list) else ())
             if stays_inside(name) and name != MANIFEST]
@@ -21,8 +21,8 @@ def own_files(out: Path) -> list[str]:
 def derived(out: Path) -> dict[str, list[str]]:
     """Folders of :data:`DERIVED` that commands made from this result, each with the names of its files.
 
-    Only folders beside files of the result count, and only if their own manifest lists the file they are
-    known by. Names are relative to ``out``.
+    Only folders beside files of the result count, and only if their own manifest lists the file that
+    identifies them. Names are relative to ``out``.
     """
     found = {}
     for name in derived_places(out):

@@ -59,10 +59,10 @@ def progress_bar(title: str, lasting: bool = False) -> Iterator[Callable[[str, f
 class Progress:
     """Error, losses, speed and time left of a fit: the ``report`` of :func:`mitsvbrdf.fit.fit_svbrdf`.
 
-    Best used as a context manager. Otherwise a terminal, too, shows plain lines.
+    As a context manager it shows one live line on a terminal; otherwise it prints plain lines there, too.
 
     Args:
-        title: stands above the progress.
+        title: printed above the progress.
     """
 
     def __init__(self, title: str = "fit") -> None:
@@ -82,7 +82,7 @@ class Progress:
         now = time.perf_counter()
         first_iteration, first_time = self._first = self._first or (entry["iteration"], now)
         speed = (entry["iteration"] - first_iteration) / max(now - first_time, 1e-9)
-        # both count the time before a --resume, and not the set-up
+        # seconds and share both include the work before a --resume, and no set-up
         left = entry["seconds"] * (1 / share - 1) if share > 0 else 0.0
         losses = "".join(f"  {name} {value:.4f}" for name, value in entry.items()
                          if name not in ("seconds", "iteration", "rerender_rmse"))
@@ -92,7 +92,7 @@ class Progress:
 
 
 def on_terminal() -> bool:
-    """Whether a terminal shows what is printed; none does where standard output was closed."""
+    """Whether a terminal shows what is printed; False where standard output was closed."""
     with contextlib.suppress(ValueError):
         return sys.stdout is not None and sys.stdout.isatty()
     return False

@@ -37,20 +37,20 @@ def usable_cores() -> int:
     """How many cores this process may use."""
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     for group in _groups():
-        with contextlib.suppress(OSError, ValueError):  # without a limit it says max
+        with contextlib.suppress(OSError, ValueError):  # "max" in the file means no limit
             quota, period = map(int, (group / "cpu.max").read_text().split())
             cores = min(cores, max(1, quota // period))
     return cores
 
 
 def memory_gib() -> tuple[float, float]:
-    """Memory of this machine or container in GiB: all, and what is available; infinity: not told."""
+    """Memory of this machine or container in GiB: in all, and available; infinity where it is unknown."""
     total = free = float("inf")
     with contextlib.suppress(OSError, KeyError, ValueError):
         told = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())
         total, free = (int(told[name].split()[0]) / 2**20 for name in ("MemTotal", "MemAvailable"))
     for group in _groups():
-        with contextlib.suppress(OSError, KeyError, ValueError):  # without a limit it says max
+        with contextlib.suppress(OSError, KeyError, ValueError):  # "max" in the file means no limit
             most, held = (int((group / f"memory.{what}").read_text()) for what in ("max", "current"))
             told = dict(line.split() for line in (group / "memory.stat").read_text().splitlines())
             total = min(total, most / 2**30)

@@ -1,10 +1,9 @@
 """Result folders that appear whole or not at all, and in which nobody else's file is lost.
 
-A command makes its result in ``OUT.partial``, beside OUT. One call of the system then exchanges the two
-folders (``renameat2`` of Linux), so a kill leaves the old result whole or the new one whole, and readers have
-nothing to mend. A manifest lists our files: ``--overwrite`` replaces a folder of these alone and refuses any
-other. A lock beside OUT keeps two runs apart. A run that fails leaves in ``OUT.partial`` what ``--resume``
-goes on from.
+A command makes its result in ``OUT.partial``, beside OUT. One system call (``renameat2`` of Linux) then
+exchanges the two folders, so a kill leaves either the old result or the new one, and it is whole. A manifest
+lists our files: ``--overwrite`` replaces a folder that holds nothing else, and refuses any other. A lock
+beside OUT keeps two runs apart. A run that fails leaves in ``OUT.partial`` what ``--resume`` continues from.
 """
 
 import contextlib
@@ -102,7 +101,7 @@ def _check_free(out: Path, overwrite: bool, resume: bool, keep: tuple[str, ...],
                           f"choose a new folder in it, such as {out / 'result'}")
     with contextlib.suppress(OSError):  # the current folder is gone
         if out in (here := Path(os.getcwd()), *here.parents):
-            raise OutputError("an output folder outside of which the command is called", str(out),
+            raise OutputError("an output folder that does not hold the current folder", str(out),
                               "type cd .. until you are above it, and name it from there")
     for place in filter(None, (files.inside(out, name) for name in derived_places(out))):
         if files.in_use(place):
@@ -121,7 +120,7 @@ def _check_free(out: Path, overwrite: bool, resume: bool, keep: tuple[str, ...],
 def _check_ours(out: Path) -> None:
     """Raise OutputError where a folder holds something that is not ours to replace."""
     if others := files_of_others(out):
-        raise OutputError("a folder with nothing but results of ours to replace",
+        raise OutputError("a folder with nothing but results of mitsvbrdf to replace",
                           f"{out} with {', '.join(others[:5])}{' ...' * (len(others) > 5)}",
                           "move them away, or choose another folder")
 
@@ -149,10 +148,10 @@ def _check_own(out: Path, staged: Path, keep: tuple[str, ...]) -> None:
                 "no regular file" if not (stat.S_ISREG(found.st_mode) or stat.S_ISDIR(found.st_mode)) else
                 f"of user {found.st_uid}" if found.st_uid not in owners else "")
         if what:
-            raise OutputError(f"nothing but files of yours in {staged}", f"{path}, {what}",
+            raise OutputError(f"only files of your own in {staged}", f"{path}, {what}",
                               "move it away, or choose another folder")
     if not is_ours(staged):
-        raise OutputError(f"an unfinished run of ours, or nothing, at {staged}", "something else",
+        raise OutputError(f"an unfinished run of mitsvbrdf, or nothing, at {staged}", "something else",
                           "move it away, or choose another output folder")
 
 
@@ -192,7 +191,7 @@ def _put_in_place(out: Path, staged: Path, add: bool) -> None:
 
 
 def _link_rest(out: Path, staged: Path, new: list[str]) -> None:
-    """Link what new files do not replace from ``out`` to the new folder; no file of others is replaced."""
+    """Link into the new folder what new files do not replace in ``out``; no file of others is replaced."""
     mine, device = {MANIFEST, *own_files(out)}, out.stat().st_dev
     for name in (*new, MANIFEST):
         for path in (Path(name), *list(Path(name).parents)[:-1]):
@@ -200,7 +199,7 @@ def _link_rest(out: Path, staged: Path, new: list[str]) -> None:
             ours = (name in mine and files.is_regular(there) if str(path) == name
                     else there.is_dir() and not there.is_symlink())
             if os.path.lexists(there) and not ours:
-                raise OutputError("room for new files", f"{there}, which is not ours", "move it away")
+                raise OutputError("room for new files", f"{there}, made by something else", "move it away")
     for here, folders, names in os.walk(out):
         target = staged / Path(here).relative_to(out)
         if os.stat(here).st_dev != device:

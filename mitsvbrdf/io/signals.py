@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM: long work stops and keeps its result, short work and imports are not disturbed.
+"""Ctrl-C and SIGTERM: long work stops and keeps its result, short work and imports are not interrupted.
 
 The module also has the lock for what exists once in a process.
 """
@@ -9,9 +9,9 @@ import threading
 from collections.abc import Iterator
 from types import FrameType
 
-# For Mitsuba and Dr.Jit, the first import of libraries, and torch's own defaults.
+# Held while Mitsuba or Dr.Jit computes, while libraries load, and while torch's random state is borrowed.
 PROCESS = threading.RLock()
-AGAIN = 0.02  # seconds after which a Ctrl-C that met an import is tried again
+AGAIN = 0.02  # seconds after which a Ctrl-C during an import is tried again
 _waiting: list[threading.Timer] = []  # the next try of such a Ctrl-C
 
 
@@ -33,7 +33,7 @@ def interrupt(number: int, frame: FrameType | None) -> None:
 
 
 def still_waiting() -> bool:
-    """Whether a Ctrl-C met an import and was not raised yet; if so, it is dropped."""
+    """Whether a Ctrl-C came during an import and was not raised yet; if so, it is dropped."""
     waited, _waiting[:] = _waiting[:], []
     for again in waited:
         again.cancel()

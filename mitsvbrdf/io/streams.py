@@ -26,7 +26,7 @@ class Unfailing(io.FileIO):
 def guard_streams() -> None:
     """Let no standard stream of this process fail; call it before any file is opened.
 
-    A closed stream's number is occupied: else the next file would get it, and with it what libraries print.
+    A closed stream's number is occupied. Else the next file would get the number, and what libraries print.
     """
     for number in (0, 1, 2):
         try:
@@ -54,7 +54,7 @@ def told(code: int) -> int:
         return code
     reason = failure.strerror or failure
     if files.wrote.is_set():
-        print(f"warning: standard output is cut short: {reason}; results are not", file=sys.stderr)
+        print(f"warning: standard output is cut short: {reason}; written files are whole", file=sys.stderr)
         return code
     print(f"error: expected to write standard output, got {reason}; free space or choose another place",
           file=sys.stderr)

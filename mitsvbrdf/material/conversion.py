@@ -26,7 +26,7 @@ def is_metal(svbrdf: SVBRDF) -> Tensor:
 
 
 def as_principled(svbrdf: SVBRDF) -> SVBRDF:
-    """Convert to base colour (F0 of metals, else diffuse) and metallic (0 or 1); a principled one stays.
+    """Convert to base colour (F0 of metals, else diffuse) and metallic (0 or 1); ``principled`` maps stay.
 
     A metallic between 0 and 1, fitted to both maps, would make a red card with an F0 of 0.1 three quarters of
     a metal. The card's colour would then be in the highlight, and the card black under oblique light. The
@@ -41,11 +41,11 @@ def as_principled(svbrdf: SVBRDF) -> SVBRDF:
 
 
 def layered(svbrdf: SVBRDF, f0: Tensor) -> SVBRDF:
-    """Base colour and metallic for clients whose highlight leaves 1 - F0 of the diffuse light.
+    """Base colour and metallic for programs that scale the diffuse light by 1 - F0.
 
-    The base colour of a non-metal is its diffuse colour over 1 - F0: seen from above, the diffuse light is
-    ours. ``f0`` (broadcast to R x R x 1) is the F0 that the client has for non-metals. Base colours above 1
-    are cut: these texels reflect more light than arrives.
+    The base colour of a non-metal is its diffuse colour over 1 - F0, so that the diffuse light seen from
+    above stays the same. ``f0`` (broadcast to R x R x 1) is the F0 that the program has for non-metals. Base
+    colours above 1 are clamped: these texels reflect more light than arrives.
     """
     material = as_principled(svbrdf)
     base = (svbrdf["diffuse"] / (1 - f0).clamp_min(1e-6)).clamp_max(1.0)
@@ -54,18 +54,18 @@ def layered(svbrdf: SVBRDF, f0: Tensor) -> SVBRDF:
 
 
 def usual_f0(svbrdf: SVBRDF) -> float:
-    """One F0 for all non-metals, for formats without a map: the median, between water and diamond."""
+    """One F0 for all non-metals, for formats without a map: the median, clamped to :data:`DIELECTRICS`."""
     others = svbrdf["specular"].mean(dim=-1)[~is_metal(svbrdf)[..., 0]]
     return float(others.median().clamp(*DIELECTRICS)) if len(others) else DIELECTRIC_F0
 
 
 def relative_f0(svbrdf: SVBRDF, level: float) -> Tensor:
-    """F0 divided by the one level that a client has for all texels, R x R x 3; 1 at metals."""
+    """F0 divided by the one level that a program has for all texels, R x R x 3; 1 at metals."""
     return torch.where(is_metal(svbrdf), 1.0, svbrdf["specular"] / level)
 
 
 def as_shown(material: SVBRDF, f0: Tensor, taken: Tensor) -> SVBRDF:
-    """What a layering client shows of a ``principled`` material from above: inverts :func:`layered`.
+    """What a program as in :func:`layered` shows of a ``principled`` material from above: the inverse.
 
     ``f0`` is the F0 of non-metals, ``taken`` the share of diffuse light that the highlight takes.
     """

@@ -9,12 +9,12 @@ from ..views import texel_positions
 from .made import MATERIALS, make_material
 from .maps import CHANNELS, SVBRDF, Bsdf, flat
 
-# How the maps of one BSDF become those of the other, as it stands in the output.
+# How the maps of one BSDF become those of the other, as outputs state it.
 CONVERSION: dict[str, str] = {
     "roughconductor": "diffuse = base_color (1 - metallic), specular = base_color metallic + 0.04 (1 - "
                       "metallic)",
-    "principled": "metallic 1 and base_color specular where it clearly is a metal, else 0 and diffuse; F0 "
-                  "is then 0.04",
+    "principled": "metallic = 1 and base_color = specular at clear metals; elsewhere metallic = 0, "
+                  "base_color = diffuse, and F0 becomes 0.04",
 }
 
 
@@ -67,7 +67,7 @@ def _ramp(resolution: int, low: float, high: float) -> Tensor:
 
 @entry()
 def random_material(bsdf: Bsdf, resolution: int = 48, seed: int = 0, slope: float = 0.15) -> SVBRDF:
-    """A hard material, float32: random colours, slopes of deviation ``slope``, roughness from 0.15."""
+    """Random maps R x R x C, float32: roughness 0.15 to 0.95, slopes of standard deviation ``slope``."""
     g = torch.Generator().manual_seed(seed)
     maps = {name: torch.rand(resolution, resolution, channels, generator=g)
             for name, channels in CHANNELS[bsdf].items()}

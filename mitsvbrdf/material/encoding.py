@@ -30,16 +30,16 @@ def read_material_json(folder: Path) -> dict:
         stated = load(path)
         if misspelt := [key for key in stated if key not in ("bsdf", "encoding")
                         and get_close_matches(key.lower(), ("bsdf", "encoding"), cutoff=0.8)]:
-            raise ValueError(f"no {misspelt[0]!r}, but bsdf and encoding are known")
+            raise ValueError(f"unknown key {misspelt[0]!r}; bsdf and encoding are known")
         if stated.get("bsdf", "principled") not in list(CHANNELS):
             raise ValueError(f"its bsdf is none of {list(CHANNELS)}")
         codes = stated.get("encoding", {})
         if not isinstance(codes, dict) or not all(isinstance(code, str) for code in codes.values()):
-            raise ValueError("its encoding is no object of texts")
+            raise ValueError("its encoding is not an object of strings")
         return stated | {"encoding": dict(code_of(*item) for item in codes.items())}
     except (OSError, ValueError) as reason:
         raise MapsError("a valid material.json", f"{path}: {error_text(reason)}",
-                        "mend it, or delete it for the habit of the names") from None
+                        "mend it, or delete it to have encodings guessed by file names") from None
 
 
 def asked_codes(encoding: str | None, normal: NormalConvention | None) -> dict[str, str]:
@@ -62,7 +62,7 @@ def code_of(name: str, code: str) -> tuple[str, str]:
     squeezed = re.sub(r"[^a-z0-9]", "", name.lower())
     known = name if name in TITLES else KINDS.get(squeezed, "").partition(" ")[0]
     if known not in TITLES:
-        raise ValueError(f"encoding.{name} is no map of {', '.join(TITLES)}")
+        raise ValueError(f"encoding.{name} is none of the maps {', '.join(TITLES)}")
     if known == "normal":
         if conventions := [key for key, mark in _CONVENTIONS.items() if re.search(mark, code.lower())]:
             return known, conventions[0]

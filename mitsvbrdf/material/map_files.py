@@ -53,7 +53,7 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
         MapsWarning: DirectX normals were found; values or up to 1 % of the normals were brought into range.
 
     Raises:
-        MapsError: naming what is missing or wrong.
+        MapsError: naming what is missing or wrong. ConfigError: an unknown word in ``encoding``.
     """
     with _found(Path(folder), encoding, normal) as found:
         return read_set(found, bsdf).check()
@@ -67,7 +67,7 @@ def _found(path: Path, encoding: str | None, normal: NormalConvention | None = N
         found = _set_of(path, last)
         exr = [name for name, source in found.sources.items() if asked.get(name) in ("srgb", "gamma 2.2")
                and source.path and source.path.suffix.lower() == ".exr"]
-        said = (f"EXR is linear, and --encoding does not count: {', '.join(exr)}",) if exr else ()
+        said = (f"--encoding does not apply to EXR, which is linear: {', '.join(exr)}",) if exr else ()
         yield found._replace(stated=dict(found.stated) | asked, remarks=(*found.remarks, *said))
 
 
@@ -103,7 +103,7 @@ def save_maps(svbrdf: SVBRDF, folder: str | Path) -> SVBRDF:
     """Write float32 EXR masters (linear), 16-bit PNGs (colours sRGB, the rest linear), material.json.
 
     Normals are (n + 1) / 2 in both. A principled material also gets its diffuse and specular maps, for tools
-    that want those. Gives the material as :func:`load_maps` reads it: its normals have made a round trip.
+    that want those. Returns the material as :func:`load_maps` reads it, so normals differ by a rounding.
     MapsError: values out of range (:meth:`SVBRDF.check`), which :func:`load_maps` would refuse.
     """
     folder = Path(folder)

@@ -20,15 +20,15 @@ from .naming import ALPHA, FIELD, SUFFIXES, Source, is_of_field, kind_of, named_
 from .normals import OVERRULE, unit_normals
 from .resample import resized
 
-LEAST_ROUGHNESS = 1 / 512  # half an 8-bit step: the most that rounding to a stored roughness of 0 took away
+LEAST_ROUGHNESS = 1 / 512  # half an 8-bit step: 8-bit files hold any lower roughness as 0
 RINGING = 0.05  # how far outside of [0, 1] lossy coders of EXR may go
 TINT = 0.05  # mean difference of channels; above it a picture is coloured, or packs several maps
 LOWEST_F0 = 0.01  # half that of water
 USUAL_SIDE = 64  # texels of a material without a texture
 STRIPS = "tex.png", "strip.png"  # names of strips of maps in folders
+FLAT = 0.5, 0.5, 1.0  # a flat normal as stored
 # ORDERS has the maps of a strip from left to right by the place of the normals, and how 8 bits are read: 0 is
 # Deschaintre 2018's, also with an input photo before them, 1 is MaterialGAN's.
-FLAT = 0.5, 0.5, 1.0  # normals as stored
 DESCHAINTRE = "normal", "diffuse", "roughness", "specular"
 ORDERS = {0: (DESCHAINTRE, "linear"), 1: (("diffuse", "normal", "roughness", "specular"), "gamma 2.2")}
 
@@ -47,8 +47,8 @@ class MapSet(NamedTuple):
     way: str = OVERRULE  # how the user overrules an encoding; {} stands for the encoding
 
     def code(self, name: str) -> str:
-        """The encoding of a map's file, linear for EXR; of normals, the convention. A colour profile, whose
-        colours are converted to sRGB, goes before a habit.
+        """The encoding of a map's file. EXR is linear; else what is stated counts, then a colour profile (its
+        colours are converted to sRGB), then ``habit``. Of normals: ``gl``, ``dx`` or empty.
         """
         usual, path = ENCODINGS[self.habit], self.sources.get(name, Source(None)).path
         if name != "normal" and path and path.suffix.lower() == ".exr":
@@ -63,7 +63,7 @@ class MapSet(NamedTuple):
         source = self.sources[name]
         if source.path is None:
             return torch.tensor(source.factor).expand(1, 1, channels)
-        document = self.place.is_file() and source.part is None  # a document alone says what colours are
+        document = self.place.is_file() and source.part is None  # a document overrides colour profiles
         value = read_map(source, name, channels, self.code(name), self.way, document)
         return value if source.factor == (1.0,) else value * torch.tensor(source.factor)
 
@@ -184,10 +184,10 @@ def _say(found: MapSet, used: Mapping[str, Source], maps: Mapping[str, Tensor]) 
              if name != "normal" and name not in found.stated and not file.lower().endswith(".exr")}
     said = []
     if found.habit == "gamma 2.2" in coded.values() and "srgb" not in coded.values():
-        said.append(f"{', '.join(coded)} taken for gamma 2.2, as the field has these names")
+        said.append(f"{', '.join(coded)} read as gamma 2.2, since the field uses these names")
         f0 = float(maps["specular"].median())
         if "specular" in coded and f0 < LOWEST_F0 < float(linear := color.encode(maps["specular"].median())):
-            said.append(f"an F0 of {f0:.2g} is below that of any material, as linear it is {linear:.2g}")
+            said.append(f"an F0 of {f0:.2g} is below that of any material; read as linear it is {linear:.2g}")
     elif coded or found.place.is_file():
         said.append("read " + (", ".join(
             f"{name} {file}" + f" ({found.code(name)})" * (name != "normal" and not file.endswith(".exr"))
@@ -196,10 +196,10 @@ def _say(found: MapSet, used: Mapping[str, Source], maps: Mapping[str, Tensor]) 
         said.append(f"F0 is {FULL_LEVEL:g} times the specular level")
     normal = used.get("normal", Source(None))
     if normal.convention == "dx" and "normal" not in found.stated:
-        said.append("normals are DirectX's by their name, and turned around")
+        said.append("normals are DirectX's by their name, so y is turned around")
     elif found.place.is_file() and normal.path and found.code("normal") == "gl" and (
             kind_of(normal.path.stem)[-1:] == ("normal dx",)):
-        said.append("normals are OpenGL's as the format has them, whatever their name; --normal dx overrules")
+        said.append("normals are read as OpenGL's by the format, despite their name; --normal dx overrules")
     said += found.remarks
     packed = {source.path for source in used.values() if source.channel == ALPHA}
     said += [f"passed over the alpha of {path.name}" for path in {s.path for s in used.values()} - packed
@@ -228,8 +228,8 @@ def read_file(path: Path, name: str, channels: int) -> Tensor:
 def read_map(source: Source, name: str, channels: int, code: str, way: str = OVERRULE, document: bool = False
              ) -> Tensor:
     """One map from its file, linear, H x W x ``channels``. ``code`` is the encoding of a file of 8 or 16
-    bits; of normals ``gl``, ``dx`` or empty. The file's profile does not count with another code than sRGB,
-    nor in a ``document``.
+    bits; of normals ``gl``, ``dx`` or empty. The file's profile is used only with the code sRGB, and never in
+    a ``document``.
     """
     assert source.path is not None
     path, exr = source.path, source.path.suffix.lower() == ".exr"
@@ -258,7 +258,7 @@ def read_map(source: Source, name: str, channels: int, code: str, way: str = OVE
     image = 1 - image if source.inverted else image
     low = float(image.min())
     image = _without_ringing(image, path) if exr else image
-    # 8-bit files and ringing can leave a roughness of 0: rounding took at most the half step put back here
+    # 8-bit files and ringing can leave a roughness of 0, which stands for at most half a step
     mirror = name == "roughness" and (not exr or low < 0 <= float(image.min()))
     return image.clamp_min(LEAST_ROUGHNESS) if mirror else image
 
@@ -274,5 +274,5 @@ def _without_ringing(image: Tensor, path: Path) -> Tensor:
         return image
     count = int(((image < 0) | (image > 1)).sum())
     warnings.warn(f"{path}: {count} of {image.numel()} values are slightly outside of [0, 1] ({low:.3g} to "
-                  f"{high:.3g}), as lossy coders leave them; cut", MapsWarning, stacklevel=2)
+                  f"{high:.3g}), as lossy coders leave them; clamped", MapsWarning, stacklevel=2)
     return image.clamp(0, 1)

@@ -42,8 +42,8 @@ LOWEST_Z = 1e-5
 
 # F0 of Mitsuba's `principled` dielectric part with its default `specular` = 0.5 (eta = 1.5).
 DIELECTRIC_F0 = 0.04
-# Where nothing else tells how bright the light was: what materials are usually like.
-# median diffuse albedo, and the sd of its natural logarithm; of ten known materials 0.001 to 0.22
+# A prior, used where nothing else tells how bright the light was: the median diffuse albedo, and the standard
+# deviation of its natural logarithm. Ten known materials have 0.001 to 0.22.
 USUAL_ALBEDO = 0.12, 1.2
 WHITEST = 0.95  # diffuse albedo that 99 % of the texels stay below
 
@@ -55,7 +55,8 @@ class SVBRDF:
     Args:
         bsdf: ``roughconductor`` (diffuse + specular lobe) or ``principled`` (base colour, metallic).
         maps: linear tensors R x R x C under the names of :data:`CHANNELS`: colours and metallic in [0, 1],
-            roughness in (0, 1] (GGX alpha = roughness^2), normal as unit vectors, +Y up, z > 0.
+            roughness in (0, 1] (GGX alpha = roughness^2), normal as unit vectors, +Y up, z > 0. Other names,
+            shapes or types raise MapsError; :meth:`check` tests the values.
     """
 
     bsdf: Bsdf
@@ -119,19 +120,18 @@ class SVBRDF:
         self.check_finite()
         for name, value in self.maps.items():
             if name == "normal":
-                under = int((value[..., 2] <= 0).sum())
-                if under:
-                    raise MapsError("normals with z > 0", f"{under} of {value[..., 2].numel()} that point "
-                                                          "into the surface",
+                z = value[..., 2]
+                if under := int((z <= 0).sum()):
+                    raise MapsError("normals with z > 0",
+                                    f"{under} of {z.numel()} that point into the surface",
                                     "check that blue is z and the map is +Y up, tangent space")
                 length = value.norm(dim=-1)
                 if not bool(((length - 1).abs() <= UNIT).all()):
                     raise MapsError("unit normals", f"lengths from {float(length.min()):.4g} to "
                                     f"{float(length.max()):.4g}", "normalise them")
-                if value[..., 2].min() < LOWEST_Z:
-                    raise MapsError(f"normals with z >= {LOWEST_Z:g}",
-                                    f"z = {float(value[..., 2].min()):.3g}",
-                                    "such a texel can hardly be seen: tilt it less, or leave it out")
+                if z.min() < LOWEST_Z:
+                    raise MapsError(f"normals with z >= {LOWEST_Z:g}", f"z = {float(z.min()):.3g}",
+                                    "tilt them less: such texels can hardly be seen")
             elif value.min() < 0 or value.max() > 1:
                 raise MapsError(f"{name} in [0, 1]", f"[{value.min():.4g}, {value.max():.4g}]",
                                 "check its encoding")
@@ -141,7 +141,7 @@ class SVBRDF:
         return self
 
     def as_roughconductor(self) -> SVBRDF:
-        """Diffuse and specular maps of a principled material: from above exact but for Burley's diffuse."""
+        """Diffuse and specular maps of a principled material. From above only Burley's diffuse differs."""
         if self.bsdf == "roughconductor":
             return self
         base, metallic = self["base_color"], self["metallic"]

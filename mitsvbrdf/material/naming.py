@@ -120,7 +120,7 @@ def named_sources(path: Path, dropped: int = 0) -> dict[str, Source]:
 
 
 def _in_common(stems: list[str]) -> int:
-    """How many words all names begin with; a name without any other word is a preview's."""
+    """How many words all names begin with. A name of these words alone belongs to a preview."""
     each = sorted(map(words, stems), key=len)
     first = os.path.commonprefix(each)
     if len(each) > 2 and len(each[1]) > len(each[0]) == len(first):

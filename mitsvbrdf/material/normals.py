@@ -16,8 +16,8 @@ FEW = 0.01  # share of texels up to which that is mended; a map with more has an
 RAISED = 1 / 255  # the z they are given: the lowest above 0 that an 8-bit file holds
 GREY = 0.1  # half the texels of a normal map have channels that differ by more: straight up by 0.5
 LENGTH = 0.25  # largest median of |length - 1|; the worst of sixty published maps has 0.04
-# A third channel that ranges over EMPTY at most holds nothing if x or y ranges over more than 4 EMPTY, and it
-# is 0 or lengths are off 1 by more than SLOPPY on average, which 8 bits do not explain on gentle slopes.
+# The third channel is empty if it ranges over EMPTY at most, x or y over more than 4 EMPTY, and if it is 0 or
+# lengths differ from 1 by more than SLOPPY on average, more than the rounding of gentle slopes to 8 bits.
 EMPTY, SLOPPY = 2 / 255, 0.02
 
 # The curl of slopes is 0 with the right sign of y. A sign is proven where the energy of its curl is less than
@@ -32,9 +32,9 @@ STEEPEST = 0.05  # smallest z that slopes are computed with
 def unit_normals(image: Tensor, path: Path, convention: str = "", way: str = OVERRULE) -> Tensor:
     """Unit normals, +Y up, H x W x 3, of what a file holds.
 
-    Understood are (n + 1) / 2, signed vectors of EXR files, and x and y alone. ``convention`` is ``gl`` or
-    ``dx`` where it is stated; else the curl decides. MapsError: no normals. MapsWarning: the curl found
-    DirectX, or leaves it possible; a few normals were lifted. The image is overwritten.
+    A file holds (n + 1) / 2, or signed vectors (EXR), or x and y alone. ``convention`` is ``gl`` or ``dx``
+    where it is stated; else the curl decides. MapsError: no normals. MapsWarning: the curl found DirectX, or
+    leaves it possible; a few normals were lifted. The image is overwritten.
     """
     normal = _vectors(image, path)
     for rows in normal.split(BAND):

@@ -21,8 +21,8 @@ def heights(normal: Tensor, periodic: bool = False) -> Tensor:
 
     The slope between two neighbours is the mean of theirs; at the border it is free. This is Poisson's
     equation with Neumann's condition, solved exactly by a cosine transform (Simchony, Chellappa and Shao
-    1990, after Frankot and Chellappa 1988). Slopes above :data:`STEEPEST` are cut. In a periodic material the
-    last texel continues in the first; the slope of the whole is lost.
+    1990, after Frankot and Chellappa 1988). Slopes above :data:`STEEPEST` are clamped. In a periodic material
+    the last texel continues in the first, and the mean slope is dropped.
     """
     size, z = len(normal), normal[..., 2].double().clamp_min(1 / STEEPEST)
     right, down = -normal[..., 0].double() / z / size, normal[..., 1].double() / z / size

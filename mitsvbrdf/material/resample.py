@@ -24,7 +24,7 @@ def area_averaged(images: Tensor, side: int) -> Tensor:
 
 
 def averaged_rows(part: Callable[[slice], Tensor], count: int, height: int, width: int = 0) -> Tensor:
-    """Area averages of images (... x R x W x C, R = ``count``), or squares; ``part`` gives their rows."""
+    """Images of ``count`` rows, area-averaged to height x width (default: square); ``part`` gives rows."""
     rows = (slice(k * count // height, -((k + 1) * -count // height)) for k in range(height))
     return torch.cat([_interpolated(part(each), (1, width or height), mode="area") for each in rows], dim=-3)
 
@@ -36,7 +36,7 @@ def enlarged_rows(images: Tensor, side: int, rows: slice) -> Tensor:
     below, share = (above + 1).clamp_max(images.shape[1] - 1), (place - above)[:, None, None]
     upper, lower = (_interpolated(images[:, at], (len(place), side), mode="bilinear", align_corners=False)
                     for at in (above, below))
-    return (upper.double() * (1 - share) + lower * share).float()  # rounded like the whole
+    return (upper.double() * (1 - share) + lower * share).float()  # rounded as in a whole enlarged image
 
 
 def enlarged(planes: Tensor, side: int) -> Tensor:
@@ -45,7 +45,7 @@ def enlarged(planes: Tensor, side: int) -> Tensor:
 
 
 def sampled(planes: Tensor, side: int) -> Tensor:
-    """Every k-th row and column of planes (... x R x R), k the greatest that leaves ``side``; a copy."""
+    """Every k-th row and column of planes (... x R x R), k = R // ``side``, at least 1; a copy."""
     step = max(1, planes.shape[-1] // side)
     return planes[..., step // 2::step, step // 2::step].clone(memory_format=torch.contiguous_format)
 

@@ -26,8 +26,8 @@ def seamless(svbrdf: SVBRDF) -> tuple[SVBRDF, float]:
     """The material with edges that meet left to right and top to bottom, all maps cut along the same lines.
 
     The overlap is the one whose best cuts differ least, so that tiles and weaves end where they began. It is
-    the same both ways, so a square stays a square. A seamless material comes back as it is. Returned are
-    the material at its resolution, and which part of its side it shows. MapsError: fewer than 16 texels.
+    the same both ways, so a square stays a square. A seamless material comes back as it is. Returns the
+    material at its resolution and the share of its side that is left. MapsError: fewer than 16 texels a side.
     """
     size = svbrdf.resolution
     if size < 2 * NARROWEST:

@@ -152,7 +152,7 @@ def studio(height: int = 256) -> Tensor:
     return image
 
 
-def _soft(distance: Tensor, edge: float = 0.03) -> Tensor:
-    """Smoothstep of the distance inside a shape: 0 outside, 1 from the depth ``edge`` on."""
-    t = (distance / edge).clamp(0, 1)
+def _soft(distance: Tensor) -> Tensor:
+    """Smoothstep of the distance inside a shape: 0 outside, 1 from a depth of 0.03 on."""
+    t = (distance / 0.03).clamp(0, 1)
     return t * t * (3 - 2 * t)

@@ -1,4 +1,4 @@
-"""Frames of presets in a folder, each recorded once done, so that a later run can go on; and MP4 or GIF."""
+"""Frames of presets in a folder, each recorded when done, so that a later run continues; MP4 and GIF."""
 
 import json
 import shutil
@@ -50,7 +50,7 @@ def kept_names(presets: Iterable[str]) -> tuple[str, ...]:
 
 
 def begin(settings: Mapping) -> Record:
-    """An empty record."""
+    """A record with these settings and no frame."""
     return Record(json.loads(json.dumps(settings)), {})
 
 
@@ -62,7 +62,7 @@ def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
     """
     place = next((place for place in (folder, out) if files.is_regular(place / RECORD)), None)
     if place is None:
-        raise ConfigError(f"a {RECORD} to go on from in {out}", "none", "run without --resume first")
+        raise ConfigError(f"a {RECORD} to continue from in {out}", "none", "run without --resume first")
     record, names = _found(place, settings)
     for name in names if place != folder else ():
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -84,7 +84,7 @@ def _found(place: Path, settings: Mapping) -> tuple[Record, list[str]]:
         raise ConfigError(f"a {RECORD} of this command", f"{place}: {reason!r}",
                           "--overwrite starts anew") from None
     if other:
-        raise ConfigError("the settings of the run to go on with", f"another {', '.join(other)}",
+        raise ConfigError("the settings of the interrupted run", f"another {', '.join(other)}",
                           "give the same, or --overwrite to start anew")
     if lost:
         raise ConfigError(f"the frames that {RECORD} names", f"{place} without {', '.join(lost)}",
@@ -156,7 +156,7 @@ def display_frames(stage: Stage, folder: Path, exposure: float = 0.0) -> Iterato
 
 
 FPS = 24
-CRF = "14"  # below what an eye sees; 18 is the usual "visually lossless"
+CRF = "14"  # errors that an eye does not see; 18 is usually called visually lossless
 BT709 = 1  # as matrix, primaries and transfer in ITU-T H.264, tables E-3 to E-5
 PALETTE_SIZE = 256  # of a GIF's palette
 
@@ -208,7 +208,7 @@ def _eight_bits(frame: Tensor) -> np.ndarray:
 
 
 def av_module() -> ModuleType:
-    """PyAV."""
+    """PyAV; BackendError where it is not installed."""
     try:
         import av
     except ImportError:

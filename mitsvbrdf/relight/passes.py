@@ -38,7 +38,7 @@ class Rendered:
     samples: int  # a pixel
     seconds: float  # for all of it; the kernel is compiled in the first frame of a scene
     error: float | None  # estimated RMSE in display values; None of a single sample
-    stopped: str  # samples or interrupted
+    stopped: str  # why it ended: samples or interrupted
 
 
 def shown(image: Tensor, exposure: float = 0.0) -> Tensor:

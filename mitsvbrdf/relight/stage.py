@@ -39,8 +39,7 @@ class Stage:
     """A scene to be rendered, frame by frame."""
 
     name: str  # the preset
-    # for mi.load_dict; one sensor (hdrfilm rgb float32, box filter) and the integrator path
-    scene: dict[str, Any]
+    scene: dict[str, Any]  # for mi.load_dict: one sensor (hdrfilm, rgb, float32, box), integrator path
     frames: int  # 1 for a still
     samples: int  # a pixel
     place: Place  # frame number -> values by key of mi.traverse(scene); none of them needs another kernel
@@ -69,7 +68,7 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
     Args:
         mi: the Mitsuba module, an RGB variant set.
         preset: a key of :data:`PRESETS`, which has the default of environment, frames and samples.
-        environment: a key of :data:`ENVIRONMENTS`, or an .exr or .hdr file.
+        environment: a name of :data:`ENVIRONMENTS`, or an .exr or .hdr file.
         size: width and height of the film in pixels.
         tiling: how often the maps are repeated along a side.
         views: of ``novel``, which shows the first; default: :func:`mitsvbrdf.views.nine_view_grid`.
@@ -138,7 +137,7 @@ def _material(mi: ModuleType, svbrdf: SVBRDF, needs: Needs, tiling: int, preset:
     def texture(slot: str) -> dict[str, Any]:
         return {"type": "bitmap", "bitmap": mi.Bitmap(slots[slot].flip(0).contiguous().numpy()), "raw": True,
                 "filter_type": "nearest" if preset == "novel" else "bilinear",
-                # edges do not blend across
+                # opposite edges do not blend
                 "wrap_mode": "clamp" if tiling == 1 and preset not in ROUND else "repeat",
                 "to_uv": mi.ScalarTransform4f().scale(scale)}
 
@@ -211,7 +210,7 @@ def mirrored(svbrdf: SVBRDF) -> SVBRDF:
 
 @entry()
 def sphere(svbrdf: SVBRDF, size: int) -> Tensor:
-    """The sphere as display values, size x size x 3; maps and mirror images cover it without a seam."""
+    """The material on a sphere, display values size x size x 3; mirrored maps cover it without a seam."""
     svbrdf = svbrdf.resized(min(svbrdf.resolution, 2 * size))
     half = svbrdf.resolution // 2  # a whole patch faces the camera
     covering = mirrored(svbrdf).map(lambda value: value.roll((half, half), (0, 1)))

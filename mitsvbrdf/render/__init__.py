@@ -1,4 +1,4 @@
-"""Three renderers behind one protocol, all from the same maps and views, linear and unclamped.
+"""Three renderers with one protocol: the same maps and views become linear, unclamped radiance.
 
 ========================  ==========================================================================
 ``analytic``              torch, float32; the readable twin
@@ -45,6 +45,7 @@ class Renderer(Protocol):
 
         Raises:
             NotFiniteError: a value of a map or a number of a view is NaN or infinite.
+            ConfigError: a gradient or a size that the renderer refuses.
         """
         ...
 

@@ -26,9 +26,7 @@ MIN_ALPHA = {"roughconductor": 1e-4, "principled": MIN_ALPHA_PRINCIPLED}
 
 
 class AnalyticRenderer:
-    """Renders with torch in float32 or float64 (the truth); see :class:`mitsvbrdf.render.Renderer`. It
-    computes what a scene needs, or ``needs``.
-    """
+    """Renders what a scene needs, or ``needs``, in torch; see :class:`mitsvbrdf.render.Renderer`."""
 
     variant = None
 

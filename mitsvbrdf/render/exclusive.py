@@ -100,7 +100,7 @@ def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
 
 @contextlib.contextmanager
 def _in_order() -> Iterator[None]:
-    """Gradients of textures are the same bits in every run; else each thread adds up its own views."""
+    """Inside, gradients of textures are identical in every run. By default each thread sums a part."""
     import drjit as dr
 
     before = dr.expand_threshold()
@@ -158,8 +158,7 @@ class _Recorded(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, cotangent: Tensor) -> tuple[Tensor | None, ...]:
         with ctx.drawing.in_mitsuba():
-            # raises where an input was changed in place since
-            gradients = iter(_gradients(ctx, ctx.saved_tensors, cotangent))
+            gradients = iter(_gradients(ctx, ctx.saved_tensors, cotangent))  # raises if an input changed
         return None, None, *(next(gradients) if want else None for want in ctx.wanted)
 
 
@@ -170,7 +169,7 @@ def _gradients(ctx: Any, inputs: Sequence[Tensor], cotangent: Tensor) -> list[Te
         record = Kept(ctx.drawing.draw(inputs, ctx.wanted))
     leaves, images = record.content
     wanted = [leaf for leaf in leaves if leaf.requires_grad]
-    with torch.enable_grad():  # of a sum: given a gradient of the images, torch imports sympy, for a second
+    with torch.enable_grad():  # of a sum: given a gradient of the images, torch would import sympy (1 s)
         product = (images * cotangent).sum()
     return [each.clone() for each in torch.autograd.grad(product, wanted)]
 

@@ -30,7 +30,7 @@ from ..io.signals import PROCESS
 VARIABLE = "DRJIT_LIBLLVM_PATH"
 OLDEST = 19
 INTEGRATORS, FIRST = "mitsuba.python.ad.integrators", "common"  # Mitsuba's package, and what it imports first
-_registered: set[str] = set()  # variants that know their integrators
+_registered: set[str] = set()  # variants whose integrators in Python are loaded
 MEASURED = (19, 22)  # versions this package was developed with; the first to be tried
 
 # fmaximum (what LLVM 15 and 16 cannot select), gather, scatter_reduce, a loop and a gradient, each with a
@@ -64,9 +64,7 @@ class LLVM(NamedTuple):
 
 
 def use_llvm() -> LLVM:
-    """The libLLVM for this process, proved; sets ``DRJIT_LIBLLVM_PATH`` unless Dr.Jit is loaded already.
-    Where none works BackendError says what to install.
-    """
+    """The proved libLLVM of this process, set before Dr.Jit loads. BackendError: none works."""
     if importlib.util.find_spec("drjit") is None:
         raise BackendError("Dr.Jit and Mitsuba 3", "no drjit in this Python", "pip install mitsuba")
     if "drjit" in sys.modules:
@@ -85,7 +83,7 @@ def use_llvm() -> LLVM:
 
 
 def examine() -> Iterator[LLVM]:
-    """The verdict on each libLLVM in order of preference; on the user's alone where the variable is set."""
+    """The verdict on each libLLVM in order of preference; if :data:`VARIABLE` is set, on the one it names."""
     if os.environ.get(VARIABLE):
         yield prove(os.environ[VARIABLE])
         return

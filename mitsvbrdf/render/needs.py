@@ -72,7 +72,7 @@ def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
         omitted.append(Omitted("texture look-ups",
                                "pixel = texel: each thread has its own texel's maps in registers"))
     if views.falloff == "none":
-        omitted.append(Omitted("light falloff", "asked for by --falloff none"))
+        omitted.append(Omitted("light falloff", "the views have falloff none"))
     return replace(of_material, fresnel_curve=curve and of_material.specular_lobe, shadow_rays=False,
                    path_depth=False, environment=False, omitted=tuple(omitted))
 

@@ -38,7 +38,7 @@ class SceneRenderer(MitsubaRenderer):
         if any(t.requires_grad for t in (views.camera, views.light, views.intensity)):
             raise ConfigError("views held fixed", "a gradient asked of camera, light or intensity",
                               "use the renderer 'mitsuba' or 'analytic' to fit these")
-        if svbrdf.resolution < 2:  # Mitsuba changes no smaller texture
+        if svbrdf.resolution < 2:  # Mitsuba cannot update a smaller texture
             raise ConfigError("2 x 2 texels or more", "1 x 1", "use the renderer 'mitsuba' or 'analytic'")
         images = super().render(svbrdf, views)
         if views.falloff == "inverse-square":

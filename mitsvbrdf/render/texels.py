@@ -100,7 +100,6 @@ class HeldPlugin:
         self.mi, self.bsdf, self.needs = mi, bsdf, replace(needs, normal_map=False)
         held: dict[str, object] = {}  # slot name -> this texel's value
         self._held = held
-
         Texture: Any = mi.Texture
 
         class Held(Texture):
@@ -110,8 +109,7 @@ class HeldPlugin:
                 super().__init__(props)
                 self.slot = props["slot"]
 
-            # Nothing is held while another renderer is at work: Dr.Jit may then trace this texture along with
-            # that renderer's.
+            # 0 where nothing is held: Dr.Jit may trace this texture along with another renderer's.
             def eval(self, si: Any, active: Any = True) -> Any:
                 return mi.Color3f(held.get(self.slot, 0))
 
@@ -252,5 +250,4 @@ def opaque(mi: ModuleType, value: SupportsFloat) -> Any:
     """A number that may change without a new kernel."""
     import drjit as dr
 
-    return dr.opaque(mi.UInt32 if isinstance(value, int) else mi.Float, value if isinstance(value, int)
-                     else float(value))
+    return dr.opaque(mi.UInt32, value) if isinstance(value, int) else dr.opaque(mi.Float, float(value))

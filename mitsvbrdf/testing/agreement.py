@@ -40,8 +40,8 @@ def assert_renderers_agree(
     Raises:
         AssertionError: they differ. The message names renderer, image or map, figure, limit, and a page that
             shows where.
-        ConfigError: no renderer; limits are left out for a renderer that is not ours, negative, NaN, or all
-            infinite; or gradients asked for are missing.
+        ConfigError: no renderer; limits that are missing for a renderer not in :data:`LIMITS`, negative, NaN,
+            or all infinite; or missing gradients, though they have a finite limit.
     """
     __tracebackhide__ = True
     if not renderers:
@@ -72,7 +72,7 @@ def _limits(name: str, *given: float | None) -> Limits:
         raise ConfigError(f"limits for the renderer {name!r}, which is none of {list(LIMITS)}",
                           "some left out", "give image_mean, image_p999 and gradients")
     if not all(limit >= 0 for limit in limits) or min(limits) == math.inf:
-        raise ConfigError("limits from 0, not all infinite", f"{limits} for {name}", "else all agree or none")
+        raise ConfigError("limits >= 0, not all infinite", f"{limits} for {name}", "others pass all or none")
     return Limits(*limits)
 
 

@@ -52,7 +52,7 @@ def assert_matches_golden(result: Tensor | SVBRDF, name: str, *, rtol: float = 1
     __tracebackhide__ = True
     if not (rtol >= 0 and atol >= 0 and flip >= 0 and (rtol + atol < math.inf or flip < 1)):
         raise ConfigError("tolerances from 0, with finite rtol and atol or a flip below 1",
-                          f"rtol={rtol}, atol={atol}, flip={flip}", "else everything matches, or nothing")
+                          f"rtol={rtol}, atol={atol}, flip={flip}", "with others everything matches, or none")
     path, layers = _golden_path(name), _layers(result)
     if not all(torch.isfinite(layer).all() for layer in layers.values()):
         raise AssertionError(f"{name} has values that are not finite: it was neither compared nor written")
@@ -79,7 +79,7 @@ def _golden_path(name: str) -> Path:
                           "install mitsvbrdf, or run pytest -p mitsvbrdf.testing.plugin")
     if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}", name):
         raise ConfigError("a name of letters, digits, '-', '_' and '.', 100 at most", repr(name),
-                          "it becomes a file name")
+                          "leave out other characters: it becomes a file name")
     return file.parent / "golden" / file.stem / f"{name}.exr"
 
 

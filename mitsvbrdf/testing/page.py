@@ -86,7 +86,7 @@ def row(title: str, new: Tensor, reference: Tensor | None, show: Callable[[Tenso
 
 
 def gradient_row(title: str, new: Tensor, reference: Tensor) -> Row:
-    """Lengths, over the channels, of both gradients of a map (H x W x C) and of their difference."""
+    """Norms over the channels, of both gradients of a map (H x W x C) and of their difference."""
     return Row(title, [heat(name, gradient.double().norm(dim=-1)) for name, gradient in (
         ("new", new), ("reference", reference), ("difference", new.double() - reference))])
 

@@ -51,7 +51,7 @@ def pytest_sessionfinish(session: pytest.Session) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_testnodedown(node: Any) -> None:
-    """Take them; a worker that crashed has none."""
+    """Take the names from a worker that ended; a worker that crashed has none."""
     node.config.stash[SUITE].written += map(Path, getattr(node, "workeroutput", {}).get("mitsvbrdf", ()))
 
 

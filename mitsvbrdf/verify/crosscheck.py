@@ -98,8 +98,7 @@ class _Case:
         self.exact = render_and_gradients(twin, svbrdf, views)
         self.change = float32_limit(twin, svbrdf, views, self.exact)
         image = self.exact.image
-        # of the relative error of each value, N x R x R x 3
-        self.limit = UNIT_ROUNDOFF + relative_error(image + self.change.image, image)
+        self.limit = UNIT_ROUNDOFF + relative_error(image + self.change.image, image)  # N x R x R x 3
         rough = svbrdf["roughness"][..., 0] >= ROUGH_FROM
         self.classes = {"rough": rough, "smooth": ~rough}
 
@@ -138,13 +137,13 @@ class _Case:
                           "gradients": {name: _relative(self.change.gradients[name][texels], gradient[texels])
                                         for name, gradient in self.exact.gradients.items()}}}
 
-    def _worst_texels(self, image: Tensor, off: Tensor, among: Tensor, count: int = 3) -> list[dict]:
-        """The texels of ``among`` (R x R, bool) furthest off, each in its worst view and channel."""
+    def _worst_texels(self, image: Tensor, off: Tensor, among: Tensor) -> list[dict]:
+        """The three texels of ``among`` (R x R, bool) furthest off, each in its worst view and channel."""
         error = torch.nan_to_num(off.abs(), nan=torch.inf)
         size, channel = torch.where(among[..., None], error, -1.0).max(dim=-1)
         size, view = size.max(dim=0)
         found = []
-        for place in size.flatten().topk(min(count, int(among.sum()))).indices.tolist():
+        for place in size.flatten().topk(min(3, int(among.sum()))).indices.tolist():
             row, column = divmod(place, size.shape[1])
             k = int(view[row, column])
             at = k, row, column, int(channel[k, row, column])

@@ -54,7 +54,7 @@ def test_links_and_pipes_where_a_result_is_made_are_not_followed(out, outside, n
 def test_a_folder_of_others_with_the_name_of_an_unfinished_run_is_refused(out):
     files.write_bytes(out.parent / "out.partial/thesis.txt", b"mine")
     for options in ({}, {"resume": True}):
-        with pytest.raises(OutputError, match=r"unfinished run of ours, or nothing, at .*out\.partial"):
+        with pytest.raises(OutputError, match=r"run of mitsvbrdf, or nothing, at .*out\.partial"):
             make(out, "maps/a.exr", overwrite=True, **options)
     assert (out.parent / "out.partial/thesis.txt").read_text() == "mine"
 

@@ -82,7 +82,7 @@ def test_both_parameter_sets_with_plain_names_are_those_of_libraries(tmp_path):
 
 def test_the_fields_names_keep_gamma_and_say_so(tmp_path):
     folder = written(tmp_path, diffuse=128, specular=11, roughness=117, normal=UP)
-    with pytest.warns(AssumedWarning, match="gamma 2.2.*F0 of 0.00099 is below.*as linear it is 0.043"):
+    with pytest.warns(AssumedWarning, match="gamma 2.2.*F0 of 0.00099 is below.*read as linear it is 0.043"):
         assert load_maps(folder)["roughness"][0, 0, 0] == pytest.approx((117 / 255) ** 2.2)
     assert load_maps(folder, encoding="linear")["roughness"][0, 0, 0] == pytest.approx(117 / 255)
     with pytest.warns(AssumedWarning):
@@ -145,7 +145,7 @@ def test_commands_have_the_options_and_print_one_note(tmp_path, capsys):
                      "roughness=linear", "--encoding", "diffuse=srgb", "--json", str(figures)]) == 0
     assert json.loads(figures.read_text())["roughness"] < 1e-6
     said = capsys.readouterr().err
-    assert said.count("note: ") == 1 and "specular taken for gamma 2.2" in said
+    assert said.count("note: ") == 1 and "specular read as gamma 2.2" in said
 
 
 def test_a_downloaded_chess_set(data_folder):

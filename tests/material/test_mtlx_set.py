@@ -133,7 +133,7 @@ def test_a_negative_scale_of_y_is_directx(scale, sign, tmp_path):
     (wired("base_color", "c"), image("c", more='<input name="texcoord" nodename="t"/>')
      + '<place2d name="t" type="vector2"/>', "passed over texcoord t"),
     (wired("normal", "nm"), NORMAL.format("").replace('n.png', 'n_NormalDX.png'),
-     "whatever their name; --normal dx")])
+     "despite their name; --normal dx")])
 def test_what_a_material_does_not_have_is_said(inputs, nodes, said, tmp_path):
     folder = document(tmp_path / "a", "standard_surface", inputs, nodes)
     (folder / "tex/n_NormalDX.png").write_bytes((folder / "tex/n.png").read_bytes())

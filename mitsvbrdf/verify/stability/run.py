@@ -28,7 +28,7 @@ from .conditioning import condition, disturbed, jacobian
 from .sweeps import SWEEPS, Case
 
 SCHEMA_VERSION = 2
-# an entry above this share of its texel's gradient exceeds float32's rounding: a 0 instead was put there
+# an entry above this share of its texel's gradient exceeds float32's rounding: a 0 in its place is a fault
 ABOVE_ROUNDING = 1e-5
 
 

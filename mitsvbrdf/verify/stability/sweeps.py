@@ -48,8 +48,7 @@ class Case:
 
     sweep: str  # key of SWEEPS
     label: str  # what is special about it
-    # where it stands on the axis of its sweep's plot, or None where it does not belong there
-    value: float | None
+    value: float | None  # its place on the axis of the sweep's plot; None: it has none
     svbrdf: SVBRDF  # the material, float32, valid
     views: Views  # camera and light positions, valid
     texels: Tensor | None = None  # R x R, bool: which texels are compared; None for all
@@ -57,8 +56,7 @@ class Case:
     # this transfer function; else those of the product of the image with fixed random numbers
     transfer: color.Transfer | None = None
     refused: bool = False  # whether maps or views are invalid, and have to be refused as such
-    # known larger errors, by renderer: the largest relative error allowed, and its cause
-    known: Known = field(default_factory=dict)
+    known: Known = field(default_factory=dict)  # by renderer: largest relative error allowed, its cause
 
     def display(self, radiance: Tensor) -> Tensor:
         """What a fit sees: display values. With a transfer function, they are clipped as in photos."""
