@@ -32,7 +32,7 @@ WRONG = {
     "maps of one number": lambda: mv.SVBRDF(MADE.bsdf, {name: torch.tensor(1.0) for name in MADE.maps}),
     "maps without a texel": lambda: MADE.map(lambda m: m[:0, :0]),
     "no map at all": lambda: mv.SVBRDF(MADE.bsdf, None), "a flat map of text": lambda: flat("8"),
-    "a flat map of nothing": lambda: flat(0),
+    "a flat map of nothing": lambda: flat(0), "a flat map of no name": lambda: flat(4, difuse=0.5),
     "resized to text": lambda: MADE.resized("4"), "resized to nothing": lambda: MADE.resized(0),
     "another dtype": lambda: MADE.to("float64"),
     "a patch size of text": lambda: mv.Views(VIEWS.camera, VIEWS.light, VIEWS.intensity, "1"),

@@ -141,8 +141,11 @@ def _made(name: str, chromaticities: tuple[float, ...], gamma: float | None) -> 
     """A profile of these chromaticities and this gamma; without a gamma, with the curve of sRGB."""
     curve = {"gamma": gamma} if gamma else {"transferfunction": RESPONSES["srgb"].decode(
         np.linspace(0, 1, 4096, dtype=np.float32), Operations(np.where, np.maximum))}
-    return _unless_srgb(Profile(name, imagecodecs.cms_profile(
-        "rgb", whitepoint=chromaticities[6:], primaries=chromaticities[:6], **curve)))
+    try:
+        return _unless_srgb(Profile(name, imagecodecs.cms_profile(
+            "rgb", whitepoint=chromaticities[6:], primaries=chromaticities[:6], **curve)))
+    except imagecodecs.CmsError as reason:
+        return Profile(name, reason=str(reason))
 
 
 def _unless_srgb(profile: Profile) -> Profile | None:

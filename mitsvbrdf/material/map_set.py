@@ -113,6 +113,9 @@ def read_set(found: MapSet, bsdf: Bsdf | None = None) -> SVBRDF:
     """The material of a set, not checked yet; see :func:`mitsvbrdf.material.map_files.load_maps`."""
     there, asked = dict(found.sources), bsdf or found.bsdf
     colour = there.get("base_color") or there.get("diffuse")
+    stated = {ours: found.stated[theirs] for ours, theirs in (("diffuse", "base_color"), (
+        "base_color", "diffuse")) if ours not in there and theirs in found.stated}  # one file may be either
+    found = found._replace(stated=stated | dict(found.stated))
     beside = {"diffuse", "specular", "base_color"} <= set(there)  # both parameter sets
     if _has_lobes(found) or asked == "roughconductor" and beside:
         there |= {"diffuse": there.get("diffuse", colour)} if colour else {}

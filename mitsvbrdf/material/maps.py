@@ -168,9 +168,11 @@ def flat(resolution: int, bsdf: Bsdf = "roughconductor", dtype: torch.dtype = to
 
     Args:
         values: a value for each map but the normal, e.g. ``diffuse=0.5``; default: 0.5 for colours and
-            roughness, 0.04 specular, 0 metallic.
+            roughness, 0.04 specular, 0 metallic. Maps of the other BSDF are ignored. ConfigError: no map.
     """
     defaults = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.5, "base_color": 0.5, "metallic": 0.0}
+    if unknown := set(values) - set(defaults):
+        raise ConfigError(f"values for {', '.join(defaults)}", ", ".join(sorted(unknown)), "check the names")
     texel: Mapping[str, object] = defaults | values | {"normal": (0.0, 0.0, 1.0)}
     return SVBRDF(bsdf, {
         name: torch.tensor(texel[name], dtype=dtype).expand(resolution, resolution, channels).contiguous()

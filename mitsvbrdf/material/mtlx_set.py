@@ -122,7 +122,8 @@ class _Document:
         moved = {name: entry.get("value") or entry.get("nodename") for name, entry in inputs.items() if (
             set(_numbers(entry)) != {placing[name]} if name in placing else name in ("texcoord", "st") and not
             re.match(NODES["coordinates"], _named(self.above[node], entry.get("nodename")).tag))}
-        if "scale" in moved and node.tag == "UsdUVTexture" or path.suffix == ".exr" and self.code != "linear":
+        exr = path.suffix.lower() == ".exr"
+        if "scale" in moved and node.tag == "UsdUVTexture" or exr and self.code != "linear":
             raise ValueError(f"{node.tag} {node.get('name')!r} with a scale, or an EXR in {self.code}")
         self.placed[path.name] = ", ".join(f"{name} {value}" for name, value in moved.items())
         found = Source(path, 0, factor=(1.0,)) if kind == "float" else Source(path, factor=(1.0,) * 3)

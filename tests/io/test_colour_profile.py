@@ -74,8 +74,7 @@ def test_code_points_and_gamma_of_a_png(tmp_path):
     assert np.abs(found.pixels[0, 0] / 257 - (200, 40, 30)).max() < 1
     # linear: 0.5 is 0.735 in sRGB
     linear = png_with(tmp_path / "b.png", b"gAMA", struct.pack(">I", 100_000), (128,) * 3)
-    found = picture(linear, CaptureError)
-    assert found.pixels[0, 0] / 65535 == pytest.approx(0.7365, abs=2e-3)
+    assert picture(linear, CaptureError).pixels[0, 0] / 65535 == pytest.approx(0.7365, abs=2e-3)
     usual = png_with(tmp_path / "c.png", b"gAMA", struct.pack(">I", 45455))
     assert header(usual, CaptureError).profile is None
 
@@ -130,9 +129,9 @@ def test_grey_profiles(tmp_path):
 
 
 @pytest.mark.parametrize(("points", "name"), [((9, 16, 0, 1), "PQ"), ((9, 18, 0, 1), "HLG"),
-                                              ((77, 13, 0, 1), "primaries 77")])
+                                              ((77, 13, 0, 1), "primaries 77"), ((0,) * 32, "cHRM of PNG")])
 def test_what_cannot_be_used_is_named(tmp_path, points, name):
-    path = png_with(tmp_path / "a.png", b"cICP", bytes(points))
+    path = png_with(tmp_path / "a.png", b"cICP" if len(points) == 4 else b"cHRM", bytes(points))
     with pytest.warns(InputWarning, match=f"a.png.*{name}.*cannot be used"):
         read_image(path, MapsError)
     Image.new("RGB", (4, 4), 128).save(tmp_path / "b.png", icc_profile=b"no profile")

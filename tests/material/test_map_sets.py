@@ -52,8 +52,8 @@ def test_a_downloaded_set_has_the_encodings_of_libraries(tmp_path):
     (folder / "textures").mkdir()
     for path in folder.glob("*.png"):
         path.rename(folder / "textures" / path.name)
-    with pytest.warns(AssumedWarning):
-        assert torch.equal(load_maps(folder)["roughness"], found["roughness"])
+    with pytest.warns(AssumedWarning, match="base_color brick_diff.png .linear"):
+        assert torch.equal(load_maps(folder, encoding="diffuse=linear")["roughness"], found["roughness"])
 
 
 @pytest.mark.parametrize("colour, ending, code", [

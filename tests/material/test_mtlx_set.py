@@ -149,6 +149,7 @@ PRODUCT = ('<multiply name="x" type="color3"><input name="in1" nodename="c"/>'
     (wired("base_color", "x"), image("c") + image("orm") + PRODUCT, "two images, c.png and orm.png"),
     (wired("base_color", "x"), '<remap name="x" type="color3"/>', "remap 'x' between"),
     (wired("base_color", "no"), "", "no node 'no'"),
+    (wired("base_color", "c"), image("c").replace("png", "EXR"), "an EXR in srgb"),
     (wired("base_color", "x"), '<dot name="x"><input name="in" nodename="x"/></dot>', "recursion"),
     (wired("base_color", "c"), image("c", space='colorspace="acescg"'), "acescg"),
     (wired("base_color", "c") + wired("specular_color", "orm"),
