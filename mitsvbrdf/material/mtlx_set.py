@@ -125,7 +125,9 @@ class _Document:
         exr = path.suffix.lower() == ".exr"
         if "scale" in moved and node.tag == "UsdUVTexture" or exr and self.code != "linear":
             raise ValueError(f"{node.tag} {node.get('name')!r} with a scale, or an EXR in {self.code}")
-        self.placed[path.name] = ", ".join(f"{name} {value}" for name, value in moved.items())
+        placed = ", ".join(f"{name} {value}" for name, value in moved.items())
+        if self.placed.setdefault(path.name, placed) != placed:
+            raise ValueError(f"{path.name} at two places of the maps")
         found = Source(path, 0, factor=(1.0,)) if kind == "float" else Source(path, factor=(1.0,) * 3)
         for name in {"factor", "color"} & set(inputs):
             found = _times(found, self.source(inputs[name]))

@@ -154,6 +154,8 @@ PRODUCT = ('<multiply name="x" type="color3"><input name="in1" nodename="c"/>'
     (wired("base_color", "c"), image("c", space='colorspace="acescg"'), "acescg"),
     (wired("base_color", "c") + wired("specular_color", "orm"),
      image("c", more=valued("uvtiling", "3, 3")) + image("orm"), "placed alike"),
+    (wired("base_color", "c") + wired("specular_color", "d"), image("c", more=valued("uvtiling", "3, 3"))
+     + image("c").replace('name="c"', 'name="d"'), "c.png at two places"),
     (wired("normal", "nm"), NORMAL.format(valued("scale", 0.5)), "normalmap 'nm' with a scale"),
     (wired("base_color", "c"), image("c").replace("tex/", "../"), "beside the file"),
     (wired("base_color", "c"), image("c").replace("tex/c", "tex/d"), "no file at"),
