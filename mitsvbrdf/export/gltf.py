@@ -64,7 +64,7 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
 
 
 def _glb(textures: dict[str, Tensor], specular: dict, settings: ExportSettings) -> bytes:
-    """The file by the template ``material.gltf``, which knows the order of the buffer's parts."""
+    """The file by the template ``material.gltf``, which fixes the order of the buffer's parts."""
     side, blob, views = settings.side or 1.0, bytearray(), list[dict]()
     numbers = [tuple(side * x for x in CORNERS), *FRAME]
     parts: list[tuple[bytes, dict]] = [(struct.pack(f"<{len(each)}f", *each), VERTICES) for each in numbers]

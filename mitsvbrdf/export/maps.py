@@ -23,9 +23,9 @@ LONGEST = 100  # bytes of a material's name in file names; more would not fit ev
 def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
     """Write the maps of a naming into the folder: colours sRGB, the rest linear; a strip is all linear.
 
-    Beside the maps of a fit there are: the height that the normals stand for, plus 0.5 (a displacement of
-    scale 1 and middle 0.5 is right on a square of side 1); ambient occlusion by this height; and occlusion,
-    roughness and metallic packed in the channels of one file.
+    A naming may also have: the height that the normals stand for, plus 0.5 (a displacement of scale 1 and
+    middle 0.5 is right on a square of side 1); ambient occlusion by this height; and occlusion, roughness and
+    metallic packed in the channels of one file.
     """
     naming, normal, side = settings.naming, settings.normal, settings.side
     if naming == "deschaintre":

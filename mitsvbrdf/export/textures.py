@@ -32,7 +32,7 @@ class ExportSettings:
         name: the material's name, in file names of ``maps`` and in the GLB.
         naming: file names of ``maps``.
         normal: of ``maps``; all other formats define theirs, which is OpenGL's.
-        bits: of PNG files; colours of ``usd`` and all of ``gltf`` have 8, heights 16.
+        bits: of PNG files; colours of ``usd`` and all of ``gltf`` have 8, heights and the IOR of ``usd`` 16.
         side: of the patch in metres, for the sizes of meshes and heights; default: the mesh has side 1, of
             any unit.
         licence: what users may do with it, in every ``export.json`` and in the GLB.

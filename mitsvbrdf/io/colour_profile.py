@@ -1,8 +1,8 @@
 """The colour profile that a picture states, and conversion of its pixels to the colours of sRGB and Rec. 709.
 
-8- and 16-bit pictures state an ICC profile, code points of ITU-T H.273 (cICP of PNG, nclx of HEIC), or
-gAMA and cHRM of PNG. littleCMS converts them to sRGB display values, as a viewer with colour management
-shows them. A linear picture (EXR) states chromaticities; a matrix converts it to Rec. 709.
+8- and 16-bit pictures state an ICC profile, code points of ITU-T H.273 (cICP of PNG, nclx of HEIC), gAMA and
+cHRM of PNG, or Adobe RGB in EXIF. littleCMS converts them to sRGB display values, as a viewer with colour
+management shows them. A linear picture (EXR) states chromaticities; a matrix converts it to Rec. 709.
 """
 
 from __future__ import annotations

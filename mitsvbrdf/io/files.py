@@ -144,7 +144,7 @@ def stays_inside(name: object) -> bool:
     try:
         if not isinstance(name, str) or b"\0" in os.fsencode(name):
             return False
-    except UnicodeEncodeError:  # text that no file can be called
+    except UnicodeEncodeError:  # no file can have this name
         return False
     path = Path(name)
     return bool(path.parts) and not path.anchor and ".." not in path.parts

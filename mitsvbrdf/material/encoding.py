@@ -12,7 +12,7 @@ from .naming import KINDS, NAMES
 
 NormalConvention = Literal["gl", "dx"]
 
-# How the fields' files are encoded, by the names that material.json and --encoding use.
+# Encodings of the files of maps, by the names that material.json and --encoding use.
 ENCODINGS: dict[str, dict[str, str]] = NAMES["encodings"]
 _SPELLINGS = {word: code for code, words in NAMES["spellings"].items() for word in words.split()}
 _CONVENTIONS = {"dx": r"\bdx\b|directx|d3d|[+]?\s*y\s*down|-\s*y", "gl": r"\bgl\b|opengl|[+]\s*y|y\s*up"}

@@ -104,8 +104,7 @@ def _lobes(needs: Needs, texture: Callable[[str], Any], stock: bool) -> dict:
                else {})
     if not needs.specular_lobe:
         return diffuse
-    # the default is Beckmann
-    lobe = {"type": "roughconductor", "distribution": "ggx", "alpha": texture("alpha")}
+    lobe = {"type": "roughconductor", "distribution": "ggx", "alpha": texture("alpha")}  # default: Beckmann
     if needs.fresnel_curve and not stock:
         lobe |= {"material": "none", "specular_reflectance": {"type": "uniform", "value": float(needs.lobes)}}
         lobe = {"type": FRESNEL, "f0": texture("f0"), "inner": lobe}

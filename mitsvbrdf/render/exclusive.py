@@ -76,8 +76,8 @@ def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
     """The ``mitsuba`` module with this variant, for this thread alone; the earlier variant comes back.
 
     Callers of the package do not need it; code that uses Mitsuba or Dr.Jit beside the package must hold it
-    too. It may be nested. It must not be held around a backward pass of tensors on a GPU, which autograd
-    makes in another thread. Arrays and scenes should be gone when it ends: make them in a function.
+    too. It may be nested. It must not be held around a backward pass of tensors on a GPU: autograd runs such
+    a pass in another thread. Arrays and scenes should be gone when it ends: make them in a function.
 
     Raises:
         BackendError: Mitsuba, the variant, a GPU or libLLVM is missing.

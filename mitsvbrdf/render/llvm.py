@@ -194,7 +194,7 @@ def install_hint() -> str:
 def set_variant(mi: ModuleType, variant: str) -> None:
     """Set Mitsuba's variant; its integrators in Python are loaded once a variant, not each time (150 ms).
 
-    Afterwards the integrators stay those of the variant that the program around us has set.
+    Later switches keep the integrators of the variant that the surrounding program has set.
     """
     with PROCESS:
         integrators = vars(sys.modules.get(INTEGRATORS, ModuleType(INTEGRATORS)))

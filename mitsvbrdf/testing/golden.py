@@ -35,8 +35,8 @@ def assert_matches_golden(result: Tensor | SVBRDF, name: str, *, rtol: float = 1
 
     Args:
         result: a linear picture H x W x 3, views N x H x W x 3, or a material.
-        name: of the golden file, without suffix: letters, digits, ``-``, ``_`` and ``.``, 100 at most. A test
-            file has each name once.
+        name: of the golden file, without suffix: letters, digits, ``-``, ``_`` and ``.``, 100 at most. Use
+            each name once in a test file.
         rtol: a value may be off by ``atol + rtol |golden value|``. The defaults fit float32 renderers on one
             machine or another; ``math.inf`` leaves the decision to ``flip``.
         atol: see ``rtol``; linear units.

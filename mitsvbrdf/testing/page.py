@@ -54,7 +54,7 @@ def failure(title: str, figures: Sequence[Figure], rows: Sequence[Row], notes: S
 
 
 def left_behind(suffix: str, write: Callable[[Path], None]) -> str:
-    """Write a file of the running test, ``DIR/TEST-HASH.SUFFIX``. Return its path, or why it is missing."""
+    """Write ``DIR/TEST-HASH`` + ``suffix`` for the running test. Return its path, or why it is missing."""
     test, folder = running.now.test, running.now.report.resolve()
     name = re.sub(r"[^\w.]+", "-", test)[-100:].strip("-.")
     path = folder / f"{name}-{hashlib.sha256(test.encode()).hexdigest()[:8]}{suffix}"

@@ -1,8 +1,8 @@
 """Every renderer and BSDF against the float64 twin: images, gradients and run time in one run.
 
 Figures are computed over the texels of roughness 0.1 and more (``rough``), where
-:data:`~mitsvbrdf.measure.tolerances.TOLERANCES` hold, and over the texels below (``smooth``). Each figure has
-the limit of float32 beside it (:mod:`mitsvbrdf.verify.float32_limits`).
+:data:`~mitsvbrdf.measure.tolerances.TOLERANCES` hold, and over the texels below (``smooth``). The limit of
+float32 stands beside errors of images and gradients (:mod:`mitsvbrdf.verify.float32_limits`).
 """
 
 import math
@@ -50,6 +50,7 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
         transfer: how display values encode light.
         error_maps: filled with the relative error of each configuration's worst view, R x R, largest channel,
             by (material, BSDF, renderer).
+        command: kept in the record as it is.
 
     Returns:
         A record for JSON, without NaN; docs/evaluation.md explains each field.
