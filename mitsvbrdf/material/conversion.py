@@ -14,8 +14,7 @@ from .maps import DIELECTRIC_F0, SVBRDF
 METAL_F0 = 0.25
 DIELECTRICS = 0.02, 0.17  # F0 of water and of diamond
 FULL_LEVEL = 0.08  # F0 of specular level 1, in Blender, Unreal and Substance; level 0.5 has 0.04
-# largest diffuse colour of a metal, as a share of its F0: a bare metal has none, a fit leaves a little
-METAL_DIFFUSE = 0.25
+METAL_DIFFUSE = 0.25  # largest diffuse colour of a metal over its F0: bare metal has 0, a fit leaves a little
 
 
 def is_metal(svbrdf: SVBRDF) -> Tensor:

@@ -9,8 +9,7 @@ from torch import Tensor
 
 from .resample import enlarged
 
-# largest slope, 84 degrees: else a texel with a normal in the plane would rise hundreds of patch sides
-STEEPEST = 10.0
+STEEPEST = 10.0  # largest slope, 84 degrees: a normal in the plane would rise hundreds of patch sides
 DIRECTIONS = 16  # around a texel, in which its horizon is looked for
 FINEST = 512  # most texels a side for occlusion; larger reliefs are reduced first, the result enlarged
 FARTHEST = 0.25  # distance of what may hide the sky, in patch sides

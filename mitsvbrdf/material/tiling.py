@@ -123,8 +123,7 @@ def _joined(layers: Tensor, looks: Tensor, overlap: int) -> Tensor:
 def _closed_cut(error: Tensor) -> tuple[Tensor, float]:
     """The closed path of least error downward, at most one column a row: its columns, its mean error."""
     width = error.shape[1]
-    # by start and present column
-    cost = torch.where(torch.eye(width, dtype=torch.bool), error[0], float("inf"))
+    cost = torch.where(torch.eye(width, dtype=torch.bool), error[0], float("inf"))  # by start and column
     came = []
     for row in error[1:]:
         padded = F.pad(cost, (1, 1), value=float("inf"))

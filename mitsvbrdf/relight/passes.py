@@ -25,8 +25,7 @@ from ..errors import MapsError
 from ..io import Report
 
 JACKKNIFE_GROUPS = 8
-# samples of one call of the renderer: a second or so, after which Ctrl-C is looked at
-SAMPLES_AT_ONCE = 2**22
+SAMPLES_AT_ONCE = 2**22  # samples of one call of the renderer: about a second, the longest wait for Ctrl-C
 INTERRUPTED = "interrupted"
 
 

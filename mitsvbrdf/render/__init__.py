@@ -20,8 +20,7 @@ from ..views import Views
 from .needs import Needs
 
 RendererName = Literal["mitsuba", "mitsuba-scene", "analytic", "analytic64"]
-# those compared with the float64 twin
-RENDERERS: tuple[RendererName, ...] = ("mitsuba", "mitsuba-scene", "analytic")
+RENDERERS: tuple[RendererName, ...] = ("mitsuba", "mitsuba-scene", "analytic")  # compared with analytic64
 
 
 class Renderer(Protocol):

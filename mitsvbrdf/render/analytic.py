@@ -21,8 +21,7 @@ from ..views import Views, texel_positions
 from .bsdf import F0_RANGE, MIN_ALPHA_PRINCIPLED, needed_maps
 from .needs import Needs, refuse_not_finite, scene_needs
 
-# lowest alpha of Mitsuba's microfacets
-MIN_ALPHA = {"roughconductor": 1e-4, "principled": MIN_ALPHA_PRINCIPLED}
+MIN_ALPHA = {"roughconductor": 1e-4, "principled": MIN_ALPHA_PRINCIPLED}  # lowest of Mitsuba's microfacets
 
 
 class AnalyticRenderer:

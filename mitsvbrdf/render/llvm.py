@@ -129,8 +129,7 @@ def prove(path: str) -> LLVM:
     if note and note.is_file():
         return LLVM(path, note.read_text(), True)
     environment = {name: value for name, value in os.environ.items() if name != VARIABLE}
-    # no kernel cached earlier may replace one of this library
-    with tempfile.TemporaryDirectory() as kernels:
+    with tempfile.TemporaryDirectory() as kernels:  # no cached kernel may replace one of this library
         environment |= {"DRJIT_CACHE_DIR": kernels} | ({VARIABLE: path} if path else {})
         try:
             child = subprocess.run([sys.executable, "-P", "-c", PROOF], env=environment,

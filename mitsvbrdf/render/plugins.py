@@ -66,8 +66,7 @@ def _rectified_camera() -> type:
 
         def __init__(self, props):
             super().__init__(props)
-            # in patch sides; may change between pictures without a new kernel
-            self.position = Vector64(0, 0, 1)
+            self.position = Vector64(0, 0, 1)  # in patch sides; may change without a new kernel
 
         def sample_ray_differential(self, time, wavelength_sample, position_sample, aperture_sample,
                                     active=True):

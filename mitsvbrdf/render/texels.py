@@ -71,8 +71,7 @@ class TexelRenderer(MitsubaRenderer):
                 return dr.gather(kind, tensor.array, texel) if fixed else (
                     mi.Float(tensor.array) if kind is mi.Float else dr.unravel(kind, tensor.array))
 
-            # one value a thread
-            maps = {n: values(t) for n, t in zip(names, tensors)}
+            maps = {n: values(t) for n, t in zip(names, tensors)}  # one value a thread
             shader.hold(maps)
             place = texel_position(mi, dr.gather(mi.UInt32, mi.UInt32(texels.array), texel), side)
             axes = shading_axes(Vector(maps["normal"])) if needs.normal_map else None

@@ -13,8 +13,7 @@ def test_mitsuba_renders_the_scene_and_its_material_as_the_float64_twin(material
 
     mi, views = mitsuba_module(), GRID.pick([3])
     export_material(material, tmp_path, ["mitsuba"], views=views)
-    folder = tmp_path / "mitsuba"
-    scene = mi.load_file(str(folder / "scene.xml"))
+    scene = mi.load_file(str(tmp_path / "mitsuba" / "scene.xml"))
     expected = AnalyticRenderer(torch.float64).render(material, views)[0].numpy()
     shown = np.array(mi.render(scene))
     assert np.abs(shown - expected).max() < 1e-3 * expected.max()  # measured 1.7e-6

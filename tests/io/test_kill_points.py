@@ -28,5 +28,4 @@ def test_a_result_is_the_old_one_whole_or_the_new_one_whole(shape, tmp_path):
         assert point["reader"] == point["command"] or "renames" in shape and not point["reader"], point
     ends = [point["command"] == after for point in points]
     assert ends == sorted(ends) and {*ends} == {False, True}  # the old one up to a point, then the new one
-    lost = [point for point in points if not point["reader"] and before]
-    assert len(lost) == ("renames" in shape)
+    assert len([point for point in points if not point["reader"] and before]) == ("renames" in shape)

@@ -48,8 +48,7 @@ def test_the_inlay_has_parts_of_different_kinds():
     assert inlay["specular"][gold][0] > 0.8 > 0.5 > inlay["specular"][gold][2]
     assert inlay["specular"][wood].max() < 0.06 and inlay["roughness"][wood] > 0.5
     assert inlay["roughness"][glaze] < 0.2 and inlay["diffuse"][glaze].max() > 0.6
-    tilt = torch.rad2deg(torch.acos(inlay["normal"][..., 2].clamp(max=1)))
-    assert 25 < tilt.max() < 30.5
+    assert 25 < torch.rad2deg(torch.acos(inlay["normal"][..., 2].clamp(max=1))).max() < 30.5
 
 
 def test_mistakes_are_named():
