@@ -43,10 +43,7 @@ class Asked:
 
     @property
     def record(self) -> dict:
-        """What a worker is told. The identity covers it, too.
-
-        Only raw photos have a sheet: nobody looks for one in a calibrated capture.
-        """
+        """What a worker is told; a part of the identity. Without a sheet for a calibrated capture."""
         sheet = None if self.sheet is None or is_calibrated(self.entry.source) else self.sheet
         return {"config": config_record(self.config), "options": asdict(self.options), "pages": self.pages,
                 "sheet": sheet, "strict": self.strict}
@@ -77,7 +74,7 @@ class Asked:
 
     @property
     def cost(self) -> float:
-        """Guessed seconds of a fit: the longest starts first. The default fit takes 4 s a photo of 256 px."""
+        """Guessed seconds of a fit: the longest starts first. Default: 4 s a photo at 256 px."""
         budget, photos = self.config.limited(self.options.resolution).budget or PATIENCE, 9
         if not isinstance(self.config, HierarchicalConfig):
             return budget
@@ -100,7 +97,7 @@ def capture_files(source: Path) -> list[Path]:
     try:
         folders.add(folder / load(stated)["target_dir"])
     except (OSError, ValueError, KeyError, TypeError):
-        pass  # no such file, or a wrong one, which the fit will say
+        pass  # no such file, or a wrong one, which the fit reports
     inside = [path for each in folders if each.is_dir() for path in each.iterdir() if path.is_file()
               and path.name[0] != "."]
     return sorted({path for path in inside if path == source or path.name in CALIBRATION_FILES
@@ -120,7 +117,7 @@ class Stock:
 
 def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
                report: Report = lambda text, share: None) -> Stock:
-    """Compare what is asked for with the folders of a library that this process holds; update the library.
+    """Compare what is asked for with the folders of a library that this process has locked; update it.
 
     A capture that is named twice with the same options counts once, with the tags of both.
     """

@@ -14,7 +14,7 @@ from ..color import Transfer
 from ..errors import CaptureError, ConfigError, MitsvbrdfError, warn_of
 from .stores import Store, is_url
 
-TOKEN = ".token"  # what a library is known by
+TOKEN = ".token"  # the file that marks a library
 CALIBRATIONS = ("capture.json", "camera_pos.txt")
 SIDE = 1024  # pixels a side of the photos that are rectified here
 
@@ -119,7 +119,7 @@ def rectified(folder: Path, out: Path, sheet: float | None, transfer: Transfer |
 
 
 def _expanded(name: str, own: tuple[str, ...] = (), where: str = "", base: str = "") -> Iterator[Entry]:
-    """The captures of one name, which may stand in a list."""
+    """The captures of one name; ``where`` is not empty for a name in a list."""
     path = Path(os.path.expanduser(name))
     if is_url(name):
         yield from (Entry(url, own, where, base) for url in _behind(name))
@@ -130,7 +130,8 @@ def _expanded(name: str, own: tuple[str, ...] = (), where: str = "", base: str =
     elif not where and path.is_file():
         yield from _listed(path)
     else:
-        raise CaptureError("a folder of photos or a list file", f"nothing at {name}", "check the name")
+        kind = "a folder of photos" if where else "a folder of photos or a list file"
+        raise CaptureError(kind, f"{'no folder' if path.exists() else 'nothing'} at {name}", "check the name")
 
 
 def _captures_in(folder: Path) -> list[Path]:

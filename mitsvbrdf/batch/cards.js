@@ -51,7 +51,7 @@ function take(data) {
   if (data.progress) setTimeout(look, EVERY);
 }
 
-// A page that is opened from disk may not read a file, but load a script again.
+// A page that is opened from disk may not read a file, but it may load a script again.
 function look() {
   const script = make("script", { src: `${DATA}?${Date.now()}` });
   script.nonce = document.querySelector("script[nonce]").nonce;
@@ -77,7 +77,7 @@ function refresh() {
   } else if (view.down) shown.reverse();
   $("shown").textContent = (shown.length < rows.length ? `${count(shown.length)} of ` : "") + `${count(rows.length)} materials`;
   $("none").hidden = shown.length > 0;
-  $("none").textContent = rows.length ? "No material is like that." : "There are no captures yet.";
+  $("none").textContent = rows.length ? "No material matches." : "There are no captures yet.";
   $("down").textContent = view.down ? "↓" : "↑";
   $("down").setAttribute("aria-pressed", !!view.down);
   measure();

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 GIB = 1 << 30
 LOG_CHARACTERS = 20_000  # of what a fit printed, kept where it fails
 LOOK_SECONDS = 0.2  # between two looks at memory
-HELD = "killed when it held"  # the words of a worker before it ends itself
+HELD = "killed when it held"  # what a worker prints before it kills itself
 
 SIDE = 192  # pixels a side of a preview, at most
 QUALITY = 85
@@ -171,7 +171,7 @@ def _renderer(name: str, variant: str) -> Renderer:
 
 @contextlib.contextmanager
 def _printed(results: ResultStore, attempt: str) -> Iterator[Path]:
-    """Inside the block, write all output to a file (its path); in a library folder it survives a crash."""
+    """Inside the block, all output goes to a file (its path), which in a library folder survives a crash."""
     with tempfile.TemporaryDirectory(prefix="mitsvbrdf-log-") as folder:
         path = log_path(results, attempt) or Path(folder) / "log"
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -142,7 +142,7 @@ class ResultStore:
         return True
 
     def set_aside(self, folder: str) -> None:
-        """Take what is no whole result out of the way, without losing it."""
+        """Rename a folder that is no whole result: its name becomes free, and nothing is lost."""
         with contextlib.suppress(FileNotFoundError):
             self.store.move(folder, f"{folder}.damaged.{secrets.token_hex(4)}")
 
@@ -205,7 +205,7 @@ class ResultStore:
 
     # ---- records ----
 
-    def _read(self, name: str, folder: str, state: str = "pending") -> Material | None:
+    def _read(self, name: str, folder: str, state: str) -> Material | None:
         """The record of a folder; None if it is missing or invalid."""
         try:
             record = msgspec.convert(parsed(self.store.read(name)) | {"state": state}, Material)

@@ -26,7 +26,8 @@ def plot(groups: Sequence[Judged]) -> Figure:
             axis.set_major_formatter("{x:g}")
             axis.set_minor_locator(NullLocator())
         axes.set_title(group.title.replace(": ", ":\n", 1), fontsize=9)
-        axes.legend(fontsize=7)
+        if axes.lines:  # some fit of the group counts
+            axes.legend(fontsize=7)
     return figure
 
 

@@ -183,8 +183,8 @@ def fit(capture: Capture, renderer: Renderer, config: FitConfig,
         report: Callable[[float], None]) -> tuple[Fit, Predict]:
     """One fit, and a function for its error on photos. The light falls off as the method assumes.
 
-    KeyboardInterrupt: Ctrl-C ended it. MitsvbrdfError: it cannot be done, or its budget ends before the first
-    step.
+    KeyboardInterrupt: Ctrl-C ended it. MitsvbrdfError: the fit is refused, or its budget ends before the
+    first step.
     """
     def lit(shots: Capture) -> Capture:
         return shots.but(views=replace(shots.views, falloff=config.falloff))

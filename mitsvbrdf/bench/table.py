@@ -30,7 +30,7 @@ def judged(records: Iterable[Mapping[str, Any]]) -> Iterator[Judged]:
     for (kind, held_out), group in groups.items():
         without = f" without photos {' and '.join(map(str, held_out))}" if held_out else ""
         for error, what in ERRORS[kind].items():
-            # a task that has other errors alone, such as a capture without views, is none of this table
+            # tasks that have other errors alone, such as captures without views, are not in this table
             having = {r["name"] for r in group if error in r["errors"]}
             some = [r for r in group if r["name"] in having or not r["errors"]]
             if any(error in record["errors"] for record in some):

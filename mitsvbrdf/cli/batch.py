@@ -62,7 +62,7 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
 
     LIBRARY holds a folder for each material, the page index.html (you can open it while the batch runs),
     library.json for pandas, and failed/ with the reason and the log of each capture that failed. The exit
-    code is 1 if a capture failed or could not be read. It needs Ray: pip install 'mitsvbrdf[batch]'.
+    code is 1 if a capture failed or could not be read. `batch` needs Ray: pip install 'mitsvbrdf[batch]'.
     """
     running.check()
     shared.check(config)
@@ -118,7 +118,7 @@ def with_own_options(entry: Entry, base: Asked) -> Asked:
 
 
 def _from_list(asked: Asked, common: FitConfig) -> Asked:
-    """The same; files that its line names lie beside the list, those of the command in the current folder."""
+    """The options; files of the line start at the folder of the list, other files at the current folder."""
     config = asked.config
     before = common if isinstance(config, type(common)) else type(config)()
     if set(config.files) <= set(before.files):
@@ -130,7 +130,7 @@ def _from_list(asked: Asked, common: FitConfig) -> Asked:
 
 
 def check_asked(asked: Asked) -> None:
-    """ConfigError: a number is out of range, or a file is missing that the settings name."""
+    """Raise ConfigError if a number is out of range, or if a file of the settings is missing."""
     with told_with(asked.entry.where):
         check_numbers("", asked)
         if asked.sheet is not None:
@@ -152,7 +152,7 @@ def _split(tags: Sequence[str]) -> tuple[str, ...]:
 
 
 def _say_stock(stock: Stock, results: ResultStore) -> None:
-    """What the library has already, and what is left."""
+    """Print what the library has already, and what is left."""
     for note in stock.notes:
         say(note)
     known = [f"{count} {what}" for count, what in (
@@ -161,7 +161,7 @@ def _say_stock(stock: Stock, results: ResultStore) -> None:
 
 
 def _ended(library: Library, stock: Stock, interrupted: bool) -> int:
-    """Print how the batch ended, and return the exit code, which counts what was asked for."""
+    """Print how the batch ended. Return the exit code; only the captures asked for count in it."""
     counts, home = library.counts(), library.results.address
     failed = [each for each in library.shown().values() if each.state == "failed"]
     for each in sorted(failed, key=lambda each: each.name)[:TOLD]:

@@ -80,6 +80,8 @@ def bench(
     failed = [r for r in records if r["stopped"] == "failed"]
     for record in failed:
         say(f"failed: {record['method']}, {record['name']}, {record['budget']:g} s: {record['why']}")
+    if not groups:  # every fit failed
+        page = picture = None
     if page and picture:
         _write(page, picture, groups)
     say_written(json_file, page, picture)
@@ -87,7 +89,6 @@ def bench(
 
 
 def _print(groups: list[Judged]) -> None:
-    """The tables on the terminal."""
     for group in groups:
         cells = table(group)
         shown = figures_table(group.title, list(cells.columns))
@@ -97,7 +98,6 @@ def _print(groups: list[Judged]) -> None:
 
 
 def _write(page: Path, picture: Path, groups: list[Judged]) -> None:
-    """The page and its picture."""
     from ..bench.plot import plot, svg
 
     files.write_bytes(picture, svg(plot(groups)))

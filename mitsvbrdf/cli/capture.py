@@ -101,4 +101,4 @@ def _print(result: "CaptureResult", warned: list[str]) -> None:
     say(f"{result.covered:.0%} of the patch has a highlight, within {math.degrees(HIGHLIGHT_ANGLE):.0f} "
         "degrees, in some photo"
         + (f"; one more photo would show most {result.next_view.words}" if result.next_view else ""))
-    say("`mitsvbrdf fit` says how surely these highlights tell specular and roughness")
+    say("`mitsvbrdf fit` says how well these highlights determine specular and roughness")

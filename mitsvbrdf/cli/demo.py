@@ -22,7 +22,7 @@ def demo(out: Out = Path("demo"),
     from .synth import synth
 
     truth, photos, result = out / "material", out / "capture", out / "fit"
-    if result.exists():
+    if overwrite and result.exists():
         say(f"replacing the earlier demo in {out}")
     with results.output_folder(truth, overwrite) as folder:
         save_maps(make_material("inlay", 256), folder)

@@ -37,11 +37,11 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
     as (n + 1) / 2. Re-rendering RMSE is in display values clipped to [0, 1], over all pixels. A photo that
     the fit saw is rendered with the final view of the fit, so its error is the one the fit printed. A
     held-out photo is rendered with its calibrated view and the flash offset of the fit. A further line gives
-    the error of all photos rendered so. Burn-in is the share of the variance of a map that follows the
-    highlights of the photos of the fit (without a fit.json: of the given photos).
+    the error of all photos in such views. Burn-in is the share of a map's variance that follows the
+    highlights of the fit's photos (without a fit.json: of the given photos).
 
     No fit knows the calibration errors of held-out photos. --refine-views also refines the camera, flash and
-    exposure of each photo within priors, measures again, and prints how far they moved.
+    exposure of each photo within priors, measures again, and prints the changes.
     """
     options.check_side(resolution)
     if (reference is None) == (capture is None):

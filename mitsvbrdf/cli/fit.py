@@ -47,19 +47,19 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
                           arg(help="How to fit. `fit --method gan --help` shows the options of that method.")]
         = "hierarchical",
         explain: Annotated[bool, arg(
-            help="Do not fit: print what the fit would omit, decide while it runs, and use.")] = False,
+            help="Do not fit: print what a fit omits, what it may omit, and its networks.")] = False,
         pretrain: Annotated[bool, arg(help=(
             "Run only the first stage of --preset paper-two-stage: train the generator on the first photo. "
             "OUT is the checkpoint for --pretrained."))] = False,
         resume: Annotated[bool, arg(
-            help="Continue the fit in OUT, finished or not. --iterations and --budget may differ. Twice of "
-                 "what a fit lacked begins it anew.")] = False,
+            help="Continue the fit in OUT, finished or not. --iterations and --budget may differ. A fit that "
+                 "lacked time starts anew if either is doubled.")] = False,
         overwrite: Overwrite = False, strict: Strict = False, advanced: Advanced = False) -> int:
     """Recover the maps of a material from photos.
 
-    `mitsvbrdf fit photos/ -o out` is enough. The default method ends by itself. Up to 1024 px it begins
-    no step that would end after 120 s (--budget). It shows two numbers. rmse is the re-rendering error so
-    far. cost is what it minimises, a mean over all texels: squared errors relative to the noise, plus
+    `mitsvbrdf fit photos/ -o out` is enough. The default method ends by itself, up to 1024 px after about
+    120 s at the latest (--budget). It shows two numbers. rmse is the re-rendering error so far. cost is
+    the quantity that the fit minimises, a mean over all texels: squared errors relative to the noise, plus
     distances from expected values. cost has no unit and can rise in a new round.
 
     To test a fit honestly, hold photos out with --views 0,1,2,3,5,6,8, and predict them with `mitsvbrdf
@@ -72,7 +72,7 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
     """
     if pretrain:
         if explain or resume or shared.detail != "none":
-            raise ConfigError("--pretrain without --explain, --resume, --detail", "one", "leave it out")
+            raise ConfigError("--pretrain alone", "--explain, --resume or --detail beside it", "omit these")
         return _pretrain(capture, out, config, shared, overwrite)
     shared.check(config)
     keep_apart(capture, out)
@@ -198,11 +198,11 @@ def _say_result(result: Fit, shots: Capture, before: dict | None) -> None:
         say(f"settled after {seconds:.0f} s: it ended by itself")
     elif before and result.stopped != "unstable" and before["trace"][0] == result.trace[0] and (
             before["iteration"] == result.trace[-1]["iteration"]):
-        lacked = ", to twice what it was: it lacked time" if before["lacked"] else ""
+        lacked = " to twice its value: the fit lacked time" if before["lacked"] else ""
         say(f"nothing was left to do after {before['iteration']} iterations and {seconds:.0f} s; raise "
             f"--iterations or --budget{lacked}")
     if shots.views.falloff == "none":
-        say("scene.xml has a light that falls off with the distance; this fit's did not")
+        say("scene.xml has a light that falls off with the distance; the light of this fit did not")
     sure = result.record["confidence"]
     told = [f"{name} {_deviation(found['median_sd'])} ({found['determined_share']:.0%} determined)"
             for name, found in sure.items()]

@@ -71,7 +71,7 @@ def _called(row: dict) -> str:
 
 def _verify(materials: Library, folders: Sequence[str], unread: Sequence[str]) -> int:
     """Hash files again; the exit code says whether all are as they were. ``unread`` lost their records."""
-    wrong = dict.fromkeys(unread, f"{RECORD} is missing or damaged, or a batch is still to write it")
+    wrong = dict.fromkeys(unread, f"{RECORD} is missing or damaged, or a batch has yet to write it")
     with progress_bar("hashing") as report:
         for number, folder in enumerate(folders):
             report(folder, number / len(folders))

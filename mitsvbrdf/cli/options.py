@@ -183,7 +183,7 @@ def material_of(name: str, resolution: int = 256, encoding: MapEncoding = (),
 
 def errors_against(reference: str, resolution: int, encoding: MapEncoding,
                    normal: MapNormal) -> Callable[[SVBRDF], dict[str, float]]:
-    """Gives the RMSE of maps against known ones: a folder, or ``builtin:NAME`` made at this resolution."""
+    """A function for the RMSE of maps against known maps: a folder, or ``builtin:NAME`` at this size."""
     from ..evaluate import evaluate_maps
     from ..measure.metrics import map_rmse
 

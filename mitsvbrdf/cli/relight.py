@@ -101,7 +101,7 @@ def relight(
 
 
 def _finish(stage: Stage, record: Record, folder: Path, kinds: list[str], exposure: float) -> None:
-    """A line for a preset, and its movie where all frames are there."""
+    """Write the movies of a preset if all its frames are there, and print a line about the preset."""
     from ..relight.frames import display_frames, write_gif, write_mp4
 
     frames = record.presets[stage.name]["frames"]

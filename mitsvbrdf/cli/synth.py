@@ -74,7 +74,7 @@ def synth(
     engine = make_renderer(renderer, variant)
     names, lit = options.views_of(views, "inverse-square")
     if svbrdf.resolution < resolution:
-        say(f"the maps have {svbrdf.resolution} px, so have the photos")
+        say(f"the maps have {svbrdf.resolution} px, and so do the photos")
     svbrdf = svbrdf.resized(min(resolution, svbrdf.resolution))
     with results.output_folder(out, overwrite) as folder:
         write_capture(photograph(svbrdf, lit, engine, noise, phone.seed, transfer), folder)
@@ -94,5 +94,5 @@ def _handheld(svbrdf: SVBRDF, name: str, out: Path, phone: HandheldPhone, spoil:
         truth = write_handheld(svbrdf, phone, functools.partial(HandheldRenderer, variant=variant), folder,
                                kinds, material=name, report=report)
     sheet = f" with the sheet of {phone.sheet:g} cm" if phone.sheet else ""
-    say(f"wrote {len(truth['rig']['poses'])} photos{sheet} to {out}, and what is true of them to {out}/truth")
+    say(f"wrote {len(truth['rig']['poses'])} photos{sheet} to {out}, and the truth to {out}/truth")
     return 0

@@ -34,7 +34,7 @@ def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Render
         fit: its views and light are used; the defaults for maps without a ``fit.json``.
         capture: N photos, as :func:`~mitsvbrdf.evaluate.placement.placed` leaves them.
         priors: if given, measure a third time, with refined views and frozen maps.
-        index: numbers of the photos to measure; None: all. All tell whether the fit is of this capture.
+        index: numbers of the photos to measure; None: all. All N decide whether the fit is of this capture.
         pictures: gets the re-rendered photos, N x R x R x 3 display values; None: they are not kept.
 
     Returns:

@@ -15,8 +15,9 @@ from ..fit.result import Fit
 from ..io import images
 from ..views import Falloff, Views, nine_view_grid, shift_lights
 
-# Largest median difference of equal photos, averaged to 4 x 4. In real captures one photo at 37 and at 256 px
-# differs by 0.008 at most, some photo of another capture by 0.07 and more. A mask changes less than half.
+# Largest median difference of equal photos, averaged to 4 x 4. In real captures a photo at 37 px differs from
+# itself at 256 px by 0.008 at most; of another capture, some photo differs by 0.07 and more. A mask does not
+# move the median: it covers less than half.
 SAME = 0.02
 STEP = 1 / 255  # largest difference of equal photos of one size; the folder of a fit keeps 8 bits
 
@@ -45,9 +46,9 @@ def placed(capture: Capture, fit: Fit, transfer: color.Transfer | None = None) -
 
     If the fit saw some of these photos, all estimated views are moved together until the views of the seen
     photos agree with the fit in the mean: sideways by an offset, heights and light power by a factor. So
-    unseen photos can be predicted, though only the photos themselves tell where they were taken. A fit that
-    took the default geometry is shown with it. Stated views are read as the fit was told to. Only their light
-    power changes, if the maps of the fit told another one. All photos have the response curve of the fit.
+    unseen photos can be predicted, though only the photos themselves tell where they were taken. A fit in the
+    default geometry is rendered in it. Stated views are read with the fit's own axes, side and light factor.
+    Only their light power changes, if the fit found another. All photos have the response curve of the fit.
 
     Args:
         capture: all photos, those held out and those it saw.

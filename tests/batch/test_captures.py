@@ -85,7 +85,7 @@ def test_what_stands_for_no_capture_is_refused(shots, names, said):
 @pytest.mark.parametrize("line, error, said", [
     ("nowhere", CaptureError, r"nothing at nowhere \(line 2 of list.txt\)"),
     ("shots/empty", CaptureError, r"no photos \(line 2"),
-    ("list.txt", CaptureError, "line 2"),  # of lists there is one level
+    ("list.txt", CaptureError, r"no folder at list.txt \(line 2"),  # of lists there is one level
     ("'shots/wood", ConfigError, r"No closing quotation \(line 2 of list.txt\); close the quotes")])
 def test_a_mistake_in_a_list_is_told_with_its_line(shots, line, error, said):
     with pytest.raises(error, match=said):

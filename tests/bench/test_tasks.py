@@ -35,8 +35,7 @@ def test_photos_held_out_are_in_no_fit(data):
 
 
 def test_tasks_are_found_by_name(data):
-    assert [t.name for t in found(data)] == ["hide", "inlay", "tiles", "leather", "plates", "cards-blue",
-                                             "wood"]
+    assert " ".join(t.name for t in found(data)) == "hide inlay tiles leather plates cards-blue wood"
     (hide, wood) = found(data, ["hide"], ["wood"])
     assert hide.folder == data / "materials/hide" and hide.key["views"] == "cards-blue"
     assert wood.key == {"kind": "capture", "name": "wood", "resolution": 16, "held_out": [4, 7],
@@ -46,8 +45,7 @@ def test_tasks_are_found_by_name(data):
 
 def test_a_perfect_fit_has_no_error_and_a_wrong_one_has(data):
     task = known_material("builtin:inlay", 16, GRID, ANALYTIC)
-    right, wrong = (task.errors(found, lambda shots: 0.25) for found in (task.truth,
-                                                                         make_material("plates", 16)))
+    right, wrong = (task.errors(each, lambda _: 0.25) for each in (task.truth, make_material("plates", 16)))
     assert right["mean"] == 0 and right["novel_light"] < 1e-6 and right["photos"] == 0.25
     assert wrong["mean"] > 0.05 and wrong["novel_light"] > 0.05
 
