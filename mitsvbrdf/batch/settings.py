@@ -15,8 +15,7 @@ class BatchSettings:
     """Workers and their limits."""
 
     workers: int | None = None
-    """How many captures are fitted at a time. Default: one a core, fewer where memory is short; on a cluster
-    as many as its cores allow."""
+    """Captures fitted at a time. Default: one a core; on this machine fewer where memory is short."""
     threads: int = 1
     """Threads of each worker."""
     address: str | None = None

@@ -71,7 +71,7 @@ def quality_record(result: CaptureResult) -> dict:
 
 
 def _shown(photo: Photo) -> Tensor | None:
-    """A photo as its owner knows it, upright and small; None where it cannot be read."""
+    """A photo as viewers show it, upright and small; None where it cannot be read."""
     try:
         pixels = photo.pixels(FULL)
     except CaptureError:

@@ -37,7 +37,7 @@ def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
 
 
 def error_and_losses(trace: Sequence[Mapping]) -> list[tuple[str, dict]]:
-    """Title and drawing of the error, and of the losses; a drawing without points is left out."""
+    """Title and drawing of the error, and of the losses; only drawings with points."""
     losses = [name for name in dict.fromkeys(name for row in trace for name in row)
               if name not in ("seconds", "iteration", "stage", "rerender_rmse")]
     drawn = (("Re-rendering RMSE", curves(trace, ["rerender_rmse"])), ("Losses", curves(trace, losses)))
@@ -45,7 +45,7 @@ def error_and_losses(trace: Sequence[Mapping]) -> list[tuple[str, dict]]:
 
 
 def _drawable(value: float | None) -> bool:
-    return value is not None and 1e-99 < value < 1e99  # so that ticks beyond are floats, too
+    return value is not None and 1e-99 < value < 1e99  # beyond, ticks would not be finite
 
 
 class _Axis:

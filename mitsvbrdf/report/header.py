@@ -27,7 +27,7 @@ def material_name(found: Fit) -> str:
 
 
 def judged(record: dict) -> tuple[bool, str]:
-    """Whether the fit was not interrupted and has no warning; and a verdict: what to look at first."""
+    """Whether the fit ran to its end without a warning; and a verdict: what to look at first."""
     photos = f"{len(record['per_photo'])} photo{'s' * (len(record['per_photo']) != 1)}"
     error = f"{record['rerender_rmse']:.3f} (RMSE, where 1 is white)"
     met = f"the maps, rendered again, differ from {photos} by {error}"
@@ -37,4 +37,4 @@ def judged(record: dict) -> tuple[bool, str]:
         more = len(record["warnings"]) - 1
         rest = f" ({more} more below)" if more else ""
         return False, f"Look at this: {record['warnings'][0].rstrip('.')}{rest}. {met[0].upper()}{met[1:]}."
-    return True, f"No check found a fault in these maps; {met}."
+    return True, f"The fit gave no warning; {met}."

@@ -16,7 +16,7 @@ from .. import color
 from ..io import files
 from ..material.maps import CHANNELS, SVBRDF, TITLES, shown_map
 
-# In pixels of the sheet. Between the margins 9, 5 and 4 squares with their gaps fit without a remainder.
+# In pixels of the sheet. Between the margins, 9, 5 or 4 squares with their gaps fit exactly.
 WIDTH, MARGIN, GAP, LABEL, HEADER = 1680, 34, 8, 34, 92
 LARGEST_MAP, LARGEST_PHOTO = 397, 264
 SHOWN = 9  # photos

@@ -188,7 +188,7 @@
   }
 
   // ---- Drawing, when something changed -----------------------------------------------------------------------------------
-  const REST = 120, PAUSE = 100;  // milliseconds: of stillness before it is drawn finely; about as long a stripe holds up the page
+  const REST = 120, PAUSE = 100;  // milliseconds: of stillness before the fine drawing; about what one of its stripes takes
   let screen = null, maps = null, asked = 0, settle = 0, fine = false;
 
   function draw(samples, from = 0, rows = canvas.height) {

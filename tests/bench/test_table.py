@@ -42,8 +42,7 @@ def test_the_best_is_bold_and_what_is_missing_says_so():
     some = [r for r in records() if (r["method"], r["budget"]) != ("b", 30.0)]
     some += [record("c", 10.0, 0, t, 0, errors={}, stopped="failed", why="cannot") for t in range(4)]
     some += [record("d", 10.0, 0, t, 0.3, stopped="settled", seconds=1234.0) for t in range(4)]
-    group = next(judged(some))
-    cells = table(group)
+    cells = table(group := next(judged(some)))
     best = "ab"[int(np.median(ERRORS[1, 0].mean(axis=1)) < np.median(ERRORS[0, 0].mean(axis=1)))]
     assert cells["10 s"][f"`{best}`"].startswith("**") and cells["10 s"].str.startswith("**").sum() == 1
     assert cells["30 s"]["`b`"] == "not run" and cells["10 s"]["`c`"] == "fails on t0, t1, t2, t3"

@@ -10,7 +10,7 @@ from mitsvbrdf.report.header import header, judged
 
 
 @pytest.mark.parametrize("stopped, warnings, good, words", [
-    ("settled", [], True, "0.025"), ("settled", ["photo 3 is dark."], False, "photo 3 is dark. "),
+    ("settled", [], True, "no warning"), ("settled", ["photo 3 is dark."], False, "photo 3 is dark. "),
     ("budget", ["one", "two", "three"], False, "one (2 more"), ("interrupted", [], False, "interrupted")])
 def test_the_verdict_is_that_of_the_record(stopped, warnings, good, words):
     record = {"per_photo": {"00": 0.02, "01": 0.03}, "rerender_rmse": 0.0254, "stopped": stopped}
