@@ -43,7 +43,7 @@ class Asked:
 
     @property
     def record(self) -> dict:
-        """What a worker is told; a part of the identity. Without a sheet for a calibrated capture."""
+        """What a worker is told; a part of the identity. A calibrated capture has no sheet."""
         sheet = None if self.sheet is None or is_calibrated(self.entry.source) else self.sheet
         return {"config": config_record(self.config), "options": asdict(self.options), "pages": self.pages,
                 "sheet": sheet, "strict": self.strict}
@@ -74,7 +74,7 @@ class Asked:
 
     @property
     def cost(self) -> float:
-        """Guessed seconds of a fit: the longest starts first. Default: 4 s a photo at 256 px."""
+        """Guessed seconds: the longest fit starts first. For the default method, 4 s a photo of 256 px."""
         budget, photos = self.config.limited(self.options.resolution).budget or PATIENCE, 9
         if not isinstance(self.config, HierarchicalConfig):
             return budget
