@@ -243,7 +243,7 @@ class Capture:
         index = whole_numbers(index)
         missing = [i for i in index if i not in self.index]
         if missing or not index:
-            raise CaptureError(f"photos out of {list(self.index)}", f"{missing or 'none'}", "check --views")
+            raise CaptureError(f"photos among {list(self.index)}", f"{missing or 'none'}", "check --views")
         if len(set(index)) < len(index):
             raise CaptureError("each photo once", f"photos {list(index)}", "take the repeated number out")
         rows = [self.index.index(i) for i in index]

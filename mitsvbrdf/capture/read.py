@@ -84,12 +84,16 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
     transfer, told = used_transfer(transfer or capture.transfer, capture.colours)
     notes = tuple(dict.fromkeys((*capture.notes, *faults, *told)))
     capture = _shrunk(capture.but(transfer=transfer, notes=notes), resolution)
-    hidden = capture.measured is not None and (~capture.measured.flatten(1).any(dim=1)).nonzero().tolist()
-    if hidden:
-        raise CaptureError("photos with something to see",
-                           f"photo {capture.names[hidden[0][0]]} of {path}, which is masked whole",
+    hidden = [] if capture.measured is None else [
+        number for number, mask in zip(capture.index, capture.measured) if not mask.any()]
+    if not hidden:
+        return capture
+    told = f"photo {', '.join(f'{number:02d}' for number in hidden)} of {path}, masked whole"
+    if index is not None or len(hidden) == len(capture):
+        raise CaptureError("photos with something to see", told,
                            "leave it out (--views), mend its alpha, or keep more pixels (--resolution)")
-    return capture
+    notes = (*capture.notes, f"not used: {told}")
+    return capture.but(notes=notes).pick([number for number in capture.index if number not in hidden])
 
 
 def _read(path: Path, resolution: int | None, falloff: Falloff, transfer: color.Transfer | None,

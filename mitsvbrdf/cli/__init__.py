@@ -73,6 +73,9 @@ def check_numbers(name: str, value: object) -> None:
     if is_dataclass(value):
         for each in fields(value):
             check_numbers(each.name, getattr(value, each.name))
+    elif isinstance(value, tuple):
+        for each in value:
+            check_numbers(name, each)
     elif isinstance(value, (int, float)) and not abs(value) <= (most := MOST.get(name, LARGEST)):
         raise ConfigError(f"--{name.replace('_', '-')} of at most {most:g}", str(value),
                           "give a number up to that")

@@ -13,10 +13,10 @@ PACKAGES = ("mitsvbrdf", "mitsuba", "drjit", "torch", "numpy", "opencv-contrib-p
 
 
 def machine() -> dict[str, str | int | None]:
-    """What a run time depends on: system, model of the CPU (else its kind), cores, and the libLLVM in use."""
+    """What a run time depends on: system, model of the CPU (else its kind), usable cores, libLLVM in use."""
     told = re.search(r"^model name\s*: (.+)", CPUS.read_text() if CPUS.exists() else "", re.MULTILINE)
     model = told[1].strip() if told else platform.processor() or platform.machine()
-    return {"system": platform.system(), "cpu": model, "cores": os.cpu_count(),
+    return {"system": platform.system(), "cpu": model, "cores": usable_cores(),
             "libllvm": os.path.basename(os.environ.get("DRJIT_LIBLLVM_PATH", "")) or None}
 
 

@@ -45,10 +45,14 @@ def read_material_json(folder: Path) -> dict:
 def asked_codes(encoding: str | None, normal: NormalConvention | None) -> dict[str, str]:
     """Encodings by map, from a text such as ``linear`` (for all) or ``roughness=linear,normal=dx``."""
     asked: dict[str, str] = {}
+    alone: dict[str, str] = {}  # of single maps
     try:
         for item in (encoding or "").split(",") if encoding is not None else []:
             name, sign, code = item.rpartition("=")
-            asked |= dict([code_of(name, code)] if sign else ENCODINGS[code_of("diffuse", code)[1]])
+            found = dict([code_of(name, code)] if sign else ENCODINGS[code_of("diffuse", code)[1]])
+            if sign and any(alone.setdefault(key, value) != value for key, value in found.items()):
+                raise ValueError(f"{name} is stated twice")
+            asked |= found
     except ValueError as reason:
         raise ConfigError("--encoding CODE or NAME=CODE,...", f"{encoding!r}: {reason}",
                           "e.g. --encoding roughness=linear") from None

@@ -9,7 +9,6 @@ from torch import Tensor
 from .. import color
 from ..capture import Capture
 from ..fit.diagnose import about_views
-from ..fit.methods import method_name
 from ..fit.record import FROM
 from ..fit.result import Fit
 from ..material.maps import CHANNELS, SVBRDF, TITLES, shown_map
@@ -58,7 +57,7 @@ def _(fit: Fit) -> str:
     again = [(f"#{number} · {error:.4f}", _uri(color.to_display(image, "srgb")))
              for number, (image, error) in enumerate(zip(fit.rerendered[:SHOWN], fit.per_photo), 1)]
     guess = ("Guessed diffuse", _uri(shown_map("diffuse", fit.guess)))
-    return _html(f"{type(fit).__name__} · {method_name(fit.config)} · {fit.renderer} · {fit.svbrdf.bsdf}",
+    return _html(f"{type(fit).__name__} · {fit.method} · {fit.renderer} · {fit.svbrdf.bsdf}",
                  [("Maps", [*_maps(fit.svbrdf), guess]),
                   ("Re-rendered, in sRGB, with the RMSE in display values", again)],
                  [f"re-rendering RMSE {fit.rerender_rmse:.4f} over {_count(len(fit.per_photo))}{stated}; "

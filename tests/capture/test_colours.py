@@ -91,7 +91,7 @@ def test_masked_pixels_are_filled_in_and_told(tmp_path, rows, masked, told):
     assert torch.equal(again.measured, capture.measured)
     assert np.abs((again.photos - capture.photos).numpy()).max() < 1e-6
     cv2.imwrite(str(path), np.kron(np.ones((8, 8, 1)), [[[1] * 4, [0] * 4]] * 2) * 255)  # of each average
-    for place in (tmp_path, path):  # among others, and alone
+    for place, index in ((tmp_path, [0, 2]), (path, None)):  # asked for, and alone
         with pytest.raises(CaptureError, match="photo 0[02] of .* masked whole"):
-            read_capture(place, resolution=8)
-    assert read_capture(tmp_path, 8, [0, 1]).index == (0, 1)
+            read_capture(place, 8, index)
+    assert (again := read_capture(tmp_path, 8)).index == (0, 1) and "02 of" in again.notes[-1]

@@ -83,6 +83,7 @@ def test_damaged_photos_are_named_and_refused_when_strict(copy, tmp_path, capsys
     (["guess", "PHOTOS", "--resolution", "9" * 30], "resolution"),
     (["relight", "builtin:tiles", "--frames", "9999999999"], "frames"),
     (["crosscheck", "--repeats", "9999999999"], "repeats"), (["demo", "--budget", "nan"], "budget"),
+    (["synth", "builtin:tiles", "--handheld", "--centre", "nan", "0"], "--centre of at most"),
     (["evaluate", "builtin:tiles", "--capture", "PHOTOS", "--resolution", "0"], "--resolution of 8 or more")])
 def test_absurd_numbers(options, word, shots, tmp_path, capsys):
     command = [shots if each == "PHOTOS" else each for each in options]

@@ -114,7 +114,8 @@ def test_misspellings_are_answered_with_file_and_key(about, words, tmp_path):
     assert all(word in str(found.value) for word in words)
 
 
-@pytest.mark.parametrize("encoding", ["roughnes=linear", "roughness=lineal", "lineal", "roughness="])
+@pytest.mark.parametrize("encoding", ["roughnes=linear", "roughness=lineal", "lineal", "roughness=",
+                                      "roughness=linear,rough=srgb"])
 def test_misspelt_options_are_refused(encoding, tmp_path):
     with pytest.raises(ConfigError, match="--encoding"):
         load_maps(written(tmp_path, diffuse=128, specular=60, roughness=128, normal=UP), encoding=encoding)

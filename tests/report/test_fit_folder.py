@@ -76,7 +76,7 @@ def test_photos_of_another_capture_are_refused(copy, photos, tmp_path, capsys):
     write_capture(shots.pick([0, 1]), tmp_path / "few")
     write_capture(shots.averaged(16), tmp_path / "small")
     before = sorted(copy.rglob("*"))
-    for name, words in (("other", ("photo 00 is another", "give the capture")), ("few", ("photos out of",)),
+    for name, words in (("other", ("photo 00 is another", "give the capture")), ("few", ("photos among",)),
                         ("small", ("16 px",)), ("nowhere", ("a folder of photos",))):
         assert cli.main(["report", str(copy), "--quick", "--capture", str(tmp_path / name)]) == 2
         message = capsys.readouterr().err
