@@ -76,11 +76,11 @@ def _metered(scene: Any, phone: HandheldPhone, pose: Pose) -> float:
     """Intensity of the flash that exposes the first photo well; lower if too many values would clip."""
     lens = replace(phone, megapixels=FROM_METER).lens
     radiance = scene.render(lens, pose, intensity=1.0) * _transmission(lens, 0, lens.size[1])
-    exposed = max(radiance.mean() / BRIGHTNESS, np.quantile(radiance, 1 - MOST_CLIPPED))
-    if not (exposed > 0 and radiance.min() >= 0):  # refuses NaN, too
+    mean, bright = radiance.mean(), np.quantile(radiance, 1 - MOST_CLIPPED)
+    if not (mean > 0 and radiance.min() >= 0):  # refuses NaN, too
         raise ConfigError("light in the first photo", f"radiance {radiance.min():g} to {radiance.max():g}",
                           "check --flash and --vignetting; the material may be black")
-    return float(1 / exposed)
+    return float(min(BRIGHTNESS / mean, 1 / bright if bright > 0 else math.inf))
 
 
 def _transmission(lens: Lens, first: int, count: int) -> NDArray[np.float32]:
