@@ -63,7 +63,7 @@ def load_tensors(path: Path | str) -> tuple[dict[str, Tensor], dict]:
         with safe_open(str(path), "pt") as file:
             about = file.metadata() or {}
             text, stated = about.get("mitsvbrdf", ""), about.get("sha256")
-            tensors = {key: file.get_tensor(key) for key in file.keys()}
+            tensors = {key: file.get_tensor(key) for key in file.keys() if stated}
         if _checksum(tensors, text) != stated:
             raise ValueError("damaged, or written by another program")
         note = json.loads(text)
