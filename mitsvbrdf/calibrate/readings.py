@@ -39,7 +39,7 @@ GAINS = 0.8, 1.25  # of a photo, in each of two rounds
 # twenty known materials with right calibrations the best other reading left 1.3 times as much and more.
 CLEARLY = 0.87
 HEIGHTS = 0.4, 20.0  # patch sides; of real captures 1.7 to 4.1. Beyond, a side in another unit is tried
-# No usual median reflectance (diffuse + F0) is beyond the first two: the same materials have 0.02 to 1.0.
+# Median reflectances (diffuse + F0): unusual below, unusual above, usual. The same materials: 0.02 to 1.0.
 FAINT, BRIGHT, USUAL = 0.005, 3.0, 0.14
 UNITS = 1e-6, 1e-4, 1e-3, 1e-2, 1e2, 1e3, 1e4, 1e6  # factors on light power from other length or power units
 

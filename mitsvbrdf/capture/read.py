@@ -62,8 +62,8 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
         The capture, in the unit of length of its calibration.
 
     Each photo is decoded and shrunk before the next one. A photo has at most 250 megapixels, and all together
-    have at most 500 when shrunk. Photos that are turned or mirrored relative to the others are turned back,
-    and a note names them; see :mod:`.turned`.
+    have at most 500 when shrunk. Photos that are turned or mirrored relative to the others are laid as these
+    (:mod:`.turned`). Photos masked whole are left out, if ``index`` does not name them. Notes name both.
 
     Raises:
         CaptureError: photos or calibration that cannot be used, naming the file or row.
@@ -88,11 +88,11 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
         number for number, mask in zip(capture.index, capture.measured) if not mask.any()]
     if not hidden:
         return capture
-    told = f"photo {', '.join(f'{number:02d}' for number in hidden)} of {path}, masked whole"
+    those = f"photo {', '.join(f'{number:02d}' for number in hidden)} of {path}, masked whole"
     if index is not None or len(hidden) == len(capture):
-        raise CaptureError("photos with something to see", told,
+        raise CaptureError("photos with something to see", those,
                            "leave it out (--views), mend its alpha, or keep more pixels (--resolution)")
-    notes = (*capture.notes, f"not used: {told}")
+    notes = (*capture.notes, f"not used: {those}")
     return capture.but(notes=notes).pick([number for number in capture.index if number not in hidden])
 
 

@@ -67,7 +67,7 @@ def ways(capture: Capture) -> list[int]:
 
 
 def laid_alike(capture: Capture, larger: Capture | None = None) -> Capture:
-    """The capture with photos turned as most are, where their pattern clearly tells; with a note of each.
+    """The capture with photos laid as most lie, where their pattern clearly tells; with a note of each.
 
     ``larger``: the same photos in more pixels, to look at instead.
     """

@@ -118,7 +118,7 @@ def with_own_options(entry: Entry, base: Asked) -> Asked:
 
 
 def _from_list(asked: Asked, common: FitConfig) -> Asked:
-    """The options; files of the line start at the folder of the list, other files at the current folder."""
+    """The options; files of the line lie beside the list, those of the command in the current folder."""
     config = asked.config
     before = common if isinstance(config, type(common)) else type(config)()
     if set(config.files) <= set(before.files):

@@ -57,10 +57,10 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
         overwrite: Overwrite = False, strict: Strict = False, advanced: Advanced = False) -> int:
     """Recover the maps of a material from photos.
 
-    `mitsvbrdf fit photos/ -o out` is enough. The default method ends by itself, up to 1024 px after about
-    120 s at the latest (--budget). It shows two numbers. rmse is the re-rendering error so far. cost is
-    the quantity that the fit minimises, a mean over all texels: squared errors relative to the noise, plus
-    distances from expected values. cost has no unit and can rise in a new round.
+    `mitsvbrdf fit photos/ -o out` is enough. The default method ends by itself. Up to 1024 px it begins no
+    step that would end after 120 s (--budget). It shows two numbers. rmse is the re-rendering error so far.
+    cost is the quantity that the fit minimises, a mean over all texels: squared errors relative to the noise,
+    plus distances from expected values. cost has no unit and can rise in a new round.
 
     To test a fit honestly, hold photos out with --views 0,1,2,3,5,6,8, and predict them with `mitsvbrdf
     evaluate out --capture photos/ --views 4,7`. The paper's method is --method gan --preset paper-one-stage,

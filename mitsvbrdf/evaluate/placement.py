@@ -16,8 +16,8 @@ from ..io import images
 from ..views import Falloff, Views, nine_view_grid, shift_lights
 
 # Largest median difference of equal photos, averaged to 4 x 4. In real captures a photo at 37 px differs from
-# itself at 256 px by 0.008 at most; of another capture, some photo differs by 0.07 and more. A mask does not
-# move the median: it covers less than half.
+# itself at 256 px by 0.008 at most; of another capture, some photo differs by 0.07 and more. A mask changes
+# less than half of the values.
 SAME = 0.02
 STEP = 1 / 255  # largest difference of equal photos of one size; the folder of a fit keeps 8 bits
 

@@ -108,7 +108,7 @@ class Method(ABC, Trained, Generic[Config]):
 def descend(total: Tensor, *optimizers: torch.optim.Optimizer) -> float:
     """One step of each optimiser down the gradient of ``total``, unless that gradient is not finite.
 
-    Gives 0, or NaN where no step was made. The loop takes a step back whose losses contain NaN.
+    Gives 0, or NaN where no step was made. The loop undoes a step whose losses contain NaN.
     """
     for optimizer in optimizers:
         optimizer.zero_grad(set_to_none=True)

@@ -54,7 +54,7 @@ def nodes(pixels: int, count: int, seed: int) -> Tensor:
 class OnePhoto(Method[HierarchicalConfig]):
     """Descends to the likeliest look classes: from each start, from the likeliest ones, from the best one.
 
-    Place and light power of a view that is not stated are unknowns; of a stated one to refine, the place is.
+    Unknown, too, are place and light power of a view that is not stated, or the place of one to be refined.
     """
 
     measured_every = 10**6  # steps: texels are found once, at the end
@@ -123,8 +123,8 @@ class OnePhoto(Method[HierarchicalConfig]):
     def _descents(self, count: int, first: int, of: int, rate: float, pixels: int, many: int) -> float:
         """The mean cost of a pixel over the last descents: -log marginal likelihood, unevenness and prior.
 
-        A descent counts differences of rings by chance, so that texels vary no more than they must. The mean
-        does not: a lobe that hardly shows would have an advantage, since its texels do not vary.
+        A descent lowers all unevenness, also that by chance, so that texels vary no more than they must. The
+        mean omits the part by chance: else a lobe that hardly shows, whose texels do not vary, would win.
         """
         total, costs = len(self.pixels.at), []
         for k in range(first, first + count):

@@ -40,9 +40,9 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
     Args:
         folder: the folder; a .glb, .gltf or .mtlx file of one material; or the image of a strip. In a folder,
             a strip is ``tex.png`` or ``strip.png``, and a .mtlx is preferred to the files' names.
-        bsdf: which set to read. Default: what material.json says, else ``roughconductor`` for the field's
-            names and for a specular map in colour or beside gloss (without metallic), else ``principled``. A
-            specular level makes that a ``roughconductor``.
+        bsdf: which set to read. Default: what material.json says, else, without metallic, ``roughconductor``
+            for the field's names and for a specular map in colour or beside gloss; else ``principled``, of
+            which a specular level makes a ``roughconductor``.
         encoding: of files of 8 and 16 bits: ``linear``, ``gamma 2.2`` or ``srgb``, or by map
             ``roughness=linear,diffuse=srgb``; default: what material.json says, else a profile, else gamma
             2.2 for the field's names, and for all others colours sRGB, the rest linear. EXR is linear.

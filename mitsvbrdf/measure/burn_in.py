@@ -24,9 +24,9 @@ from ..views import STRIP, Views, coverage_angle, half_angles, strips
 CONSTANT_BELOW = 1e-6
 LOCAL_SIDE = 64  # texels a side that are looked at for ovals; of larger maps, area averages
 WIDTHS = 0.5, 1.0, 2.0  # of the bumps, in widths of the lobe
-# offsets that fill the square evenly (Roberts 2018); 20 of them are larger than NEAR
+# offsets that fill the square evenly (Roberts 2018); 20 of them are farther than NEAR
 ROLLS = 24
-NEAR = 0.25  # sum of both axes' offsets, in sides
+NEAR = 0.25  # nearest shift of a map that counts, in sides, both axes added
 SAME = 1e-3  # of the largest singular value: below, a bump is a combination of others
 
 

@@ -84,7 +84,7 @@ def _found(place: Path, settings: Mapping) -> tuple[Record, list[str]]:
         raise ConfigError(f"a {RECORD} of this command", f"{place}: {reason!r}",
                           "--overwrite starts anew") from None
     if other:
-        raise ConfigError("the settings of the interrupted run", f"another {', '.join(other)}",
+        raise ConfigError("the settings of the earlier run", f"another {', '.join(other)}",
                           "give the same, or --overwrite to start anew")
     if lost:
         raise ConfigError(f"the frames that {RECORD} names", f"{place} without {', '.join(lost)}",

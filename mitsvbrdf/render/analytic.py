@@ -25,7 +25,7 @@ MIN_ALPHA = {"roughconductor": 1e-4, "principled": MIN_ALPHA_PRINCIPLED}  # lowe
 
 
 class AnalyticRenderer:
-    """Renders what a scene needs, or ``needs``, in torch; see :class:`mitsvbrdf.render.Renderer`."""
+    """Renders what a scene needs, or ``needs``, in float32 or 64; see :class:`mitsvbrdf.render.Renderer`."""
 
     variant = None
 

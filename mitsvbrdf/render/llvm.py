@@ -64,7 +64,7 @@ class LLVM(NamedTuple):
 
 
 def use_llvm() -> LLVM:
-    """The proved libLLVM of this process, set before Dr.Jit loads. BackendError: none works."""
+    """A proved libLLVM; sets :data:`VARIABLE` to it unless Dr.Jit is loaded. BackendError: none works."""
     if importlib.util.find_spec("drjit") is None:
         raise BackendError("Dr.Jit and Mitsuba 3", "no drjit in this Python", "pip install mitsuba")
     if "drjit" in sys.modules:

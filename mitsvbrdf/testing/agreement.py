@@ -72,7 +72,7 @@ def _limits(name: str, *given: float | None) -> Limits:
         raise ConfigError(f"limits for the renderer {name!r}, which is none of {list(LIMITS)}",
                           "some left out", "give image_mean, image_p999 and gradients")
     if not all(limit >= 0 for limit in limits) or min(limits) == math.inf:
-        raise ConfigError("limits >= 0, not all infinite", f"{limits} for {name}", "others pass all or none")
+        raise ConfigError("limits >= 0, not all infinite", f"{limits} for {name}", "others decide nothing")
     return Limits(*limits)
 
 

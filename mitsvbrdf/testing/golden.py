@@ -52,7 +52,7 @@ def assert_matches_golden(result: Tensor | SVBRDF, name: str, *, rtol: float = 1
     __tracebackhide__ = True
     if not (rtol >= 0 and atol >= 0 and flip >= 0 and (rtol + atol < math.inf or flip < 1)):
         raise ConfigError("tolerances from 0, with finite rtol and atol or a flip below 1",
-                          f"rtol={rtol}, atol={atol}, flip={flip}", "with others everything matches, or none")
+                          f"rtol={rtol}, atol={atol}, flip={flip}", "else everything matches, or nothing")
     path, layers = _golden_path(name), _layers(result)
     if not all(torch.isfinite(layer).all() for layer in layers.values()):
         raise AssertionError(f"{name} has values that are not finite: it was neither compared nor written")

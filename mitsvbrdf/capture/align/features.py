@@ -99,7 +99,7 @@ def repeats(features: Features) -> float:
 def homography(source: Array, aim: Array, pixel: float) -> tuple[Array | None, NDArray[np.bool_]]:
     """The homography (3 x 3) that most pairs of pixels (K x 2) agree with, and which do; None: too few do.
 
-    ``pixel``: side of a pixel of the feature search, in pixels; the threshold counts in these.
+    The threshold is in pixels of the feature search; ``pixel`` is the side of one of these, in pixels.
     """
     if len(source) < LEAST_INLIERS:
         return None, np.zeros(len(source), dtype=bool)

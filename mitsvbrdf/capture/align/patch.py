@@ -34,7 +34,7 @@ def framed(poses: dict[str, Pose], centre: Array, side: float) -> dict[str, Pose
 
 
 def outline(lens: Lens, pose: Pose) -> Array:
-    """Half planes n . (x, y) <= b, one a side of a photo. It shows their overlap: 4 x 3, rows (n, b)."""
+    """Half planes n . (x, y) <= b, one a side: 4 x 3, rows (n, b). The photo shows their overlap."""
     size = np.array(lens.size)
     low, high = PHOTO_MARGIN * size - 0.5, (1 - PHOTO_MARGIN) * size - 0.5
     corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])

@@ -1,7 +1,7 @@
 """Where tags may be in a photo, by OpenCV's detector or by features; and why there are hardly any.
 
-The detector needs white around each tag. Features of the print, which are hundreds, find a sheet that has
-lost its white rim on a dark material.
+The detector needs white around each tag. A sheet that has lost its white rim on a dark material is found by
+features: the print has hundreds.
 """
 
 import tempfile
