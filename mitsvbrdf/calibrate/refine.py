@@ -3,8 +3,8 @@
 Each photo has seven unknowns: how far its camera stood from where the calibration says (x, y, z), how far its
 flash stood from its place beside the camera (x, y, z), and the natural logarithm of its exposure (light
 power, shutter and gain look alike). Levenberg-Marquardt finds the most probable values: Gaussian priors stand
-around the calibration; residuals are in display values, and robust (Huber). Where a photo is clipped, only
-too dark values count. Derivatives are central differences of the float64 analytic renderer.
+around the calibration; residuals are in display values, and robust (Huber). Where a photo is clipped, only a
+darker rendering counts. Derivatives are central differences of the float64 analytic renderer.
 
 Residuals are not independent noise: an error of a map affects all pixels around it. So noise is measured on
 the residuals themselves (:meth:`Problem.evidence`). Without that, photos held out of a real fit moved their

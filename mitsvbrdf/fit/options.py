@@ -74,7 +74,7 @@ class FitOptions:
         return DetailConfig(steps=self.detail_steps, seed=config.seed) if self.detail == "gan" else None
 
     def chosen(self, photos: Capture) -> tuple[Capture, Capture | None]:
-        """The photos to fit; and a capture of these and held-out ones, which the page predicts, or None."""
+        """The photos to fit; and, as stated, these and held-out ones, which the page predicts, or None."""
         numbers = photo_numbers(self.views)
         shots = self.reading.of(photos if numbers is None else photos.pick(numbers))
         unused = [number for number in photos.index if number not in shots.index][:PREDICTED]

@@ -161,7 +161,7 @@ def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
 
 
 def check_size(path: Path, size: tuple[int, int], error: type[MitsvbrdfError]) -> None:
-    """Raise ``error`` for a picture of more pixels or bytes than any camera makes, before memory is full."""
+    """Raise ``error`` for a picture of more pixels or bytes than any camera makes, before it is decoded."""
     if size[0] * size[1] > MOST_PIXELS:
         raise error(f"pictures of at most {MOST_PIXELS / 1e6:.0f} megapixels",
                     f"{path} of {size[0]} x {size[1]} pixels", "shrink it, or leave it out")
