@@ -277,7 +277,7 @@ def test_principled_maps_are_shown_as_diffuse_and_specular(shots):
 @pytest.mark.parametrize("arguments, words", [(["nowhere"], ("a folder of maps", "nowhere")),
     (["maps", "--capture", "nowhere"], ("a folder of photos", "nowhere")),
     (["maps", "--reference", "nowhere"], ("a folder of maps", "nowhere")),
-    (["maps", "--resolution", "4"], ("--resolution", "4")), (["maps", "--views", "7"], ("numbers", "7")),
+    (["maps", "--resolution", "4"], ("--resolution", "4")), (["maps", "--views", "7"], ("photos among", "7")),
     (["m=maps", "m=maps"], ("a name of their own",)), (["broken"], ("a fit.json of this package", "broken")),
     (["uneven"], ("square maps of one size", "uneven")), (["maps", "-o", "maps"], ("a file to", "folder"))])
 def test_mistakes_are_one_error(arguments, words, shots, tmp_path, monkeypatch, capsys):
