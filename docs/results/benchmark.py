@@ -2,7 +2,8 @@
 
 ``python docs/results/benchmark.py`` makes benchmark.md and benchmark.svg from benchmark.json; with
 ``measure`` behind it the fits are measured first (three hours; MITSVBRDF_DATA names the photos; a run that
-stopped continues), with ``sizes`` seconds and memory from 64 to 4096 px (one hour).
+stopped continues), with ``sizes`` seconds and memory from 64 to 4096 px (half an hour), with ``renderers``
+those of the renderers (minutes).
 """
 
 import json
@@ -20,7 +21,7 @@ import pandas as pd
 import torch
 from matplotlib.figure import Figure
 
-from mitsvbrdf import SVBRDF, evaluate_capture, make_renderer
+from mitsvbrdf import SVBRDF, Views, evaluate_capture, make_renderer, write_capture
 from mitsvbrdf.bench.plot import plot, svg
 from mitsvbrdf.bench.run import append, method_table, read_records, run
 from mitsvbrdf.bench.table import as_markdown, judged, note, summary, table
@@ -32,6 +33,7 @@ MAPS = ["diffuse", "specular", "roughness", "normal", "mean"]
 PEERS = "peers-baseline"
 STEPS = 1000  # of the peers' baseline
 SIDES = [64, 128, 256, 512, 1024, 2048, 4096]
+CASES = [(9, 64), (9, 128), (9, 256), (9, 512), (9, 1024), (1, 2048), (64, 256)]  # views, and their pixels
 
 
 def of_one(records: list, kind: str, held_out: list) -> list:
@@ -88,13 +90,12 @@ def seconds(group) -> pd.DataFrame:
 
 def renderers(cases: list) -> pd.DataFrame:
     """Seconds forward and backward, and error of image / gradient, of every renderer."""
-    rows = {}
-    for case in cases:
-        if case["truth"] == "texels" and case["views"] == 9:
-            rows[f"{case['bsdf']}, {case['resolution']} px"] = {
-                f"`{r['renderer']}`": f"{r['both']['median']:.3g} s; {r['image']:.1e} / {r['gradient']:.1e}"
-                          for r in case["rows"]}
-    return pd.DataFrame.from_dict(rows, orient="index").fillna("no memory")
+    rows: dict[str, dict[str, str]] = {}
+    for r in cases:
+        views = f"{r['views']} view{'s' if r['views'] > 1 else ''}"
+        rows.setdefault(f"{r['bsdf']}, {views} of {r['side']} px", {})[f"`{r['renderer']}`"] = (
+            f"{r['seconds']:.3g} s; {r['image']:.1e} / {r['gradient']:.1e}")
+    return pd.DataFrame.from_dict(rows, orient="index")
 
 
 def size_table(sizes: list) -> pd.DataFrame:
@@ -129,6 +130,7 @@ def page(record: dict) -> str:
     settled = sum(r["stopped"] != "budget" for r in whole)
     versions = " and ".join(dict.fromkeys(r["version"] for r in records))
     figures = "{:.4f}".format
+    drawn = record["renderers"][0]
     return f"""# Error against run time
 
 Fits at 256 px through `mitsuba` on {record['machine']}, version {versions}. `hierarchical` is the default \
@@ -180,7 +182,7 @@ maps after it. The process is warm.
 
 ![Seconds and memory against texels](benchmark-size.svg)
 
-Whole commands, one after the other, on nine exact 8-bit photos of made inlaid wood (two slower cores; \
+Whole commands, one after the other, on nine exact 8-bit photos of made inlaid wood (two cores; \
 version {record["sizes"][0]["version"]}). The loop ends by itself (*settled*), or with the step that runs \
 when the *budget* is over: 120 s (2048 px: 240 s, 4096 px: 480 s).
 
@@ -191,9 +193,9 @@ float64.
 
 {as_markdown(renderers(record["renderers"]))}
 
-Made inlaid wood, nine views, flash 0.1 patch sides beside the lens. Errors are of texels of roughness 0.1 \
-and more. The renderers took turns on an Intel Xeon. `mitsuba` draws texel centres and is the fastest at \
-every size.
+Made inlaid wood, flash 0.1 patch sides beside the lens; two cores of an {drawn["machine"]["cpu"]}, \
+version {drawn["version"]}. Errors are of texels of roughness 0.1 and more. The renderers took turns. \
+`mitsuba` draws texel centres and is the fastest at every size.
 """
 
 
@@ -330,6 +332,29 @@ def sizes() -> Iterator[dict]:
                "version": found["versions"]["mitsvbrdf"]}
 
 
+def renderer_cases() -> Iterator[dict]:
+    """Errors and seconds of the renderers, by ``crosscheck``, through views on a square grid."""
+    renderer = make_renderer("mitsuba")
+    for count, side in CASES:
+        print(count, "views,", side, "px", flush=True)
+        rows = [0.6 * (2 * k + 1 - count**0.5) / count**0.5 for k in range(round(count**0.5))]
+        cameras = [[x, y, 2.0] for y in rows for x in rows]
+        views = Views.of(cameras, [[x + 0.1, y, z] for x, y, z in cameras], 12.0)
+        with TemporaryDirectory() as place:
+            write_capture(known_material("builtin:inlay", 16, views, renderer, "grid").photos, Path(place, "views"))
+            file = Path(place, "found.json")
+            command("crosscheck", "builtin:inlay", "--views", Path(place, "views"), "--resolution", side,
+                    "--repeats", 3, "--json", file)
+            found = json.loads(file.read_text())
+        for case in found["configurations"]:
+            texels = case["rough"]
+            yield {"views": count, "side": side, "bsdf": case["bsdf"], "renderer": case["renderer"],
+                   "seconds": sum(case["seconds"][way]["median"] for way in ("forward", "backward")),
+                   "image": texels["image"]["mean"],
+                   "gradient": max(each["relative_l2"] for each in texels["gradients"].values()),
+                   "machine": found["machine"], "version": found["versions"]["mitsvbrdf"]}
+
+
 if __name__ == "__main__":
     file = HERE / "benchmark.json"
     content = json.loads(file.read_text())
@@ -341,6 +366,9 @@ if __name__ == "__main__":
         for found in sizes():
             content["sizes"].append(found)
             file.write_text(json.dumps(content))
+    elif sys.argv[1:] == ["renderers"]:
+        content["renderers"] = list(renderer_cases())
+        file.write_text(json.dumps(content))
     (HERE / "benchmark.md").write_text(page(content))
     (HERE / "benchmark.svg").write_bytes(svg(figure(content)))
     (HERE / "benchmark-size.svg").write_bytes(svg(size_figure(content["sizes"])))
