@@ -1,10 +1,9 @@
 """`gan`, the paper's method and what lies between it and ours.
 
-``python docs/results/gan.py`` makes gan.md and gan.svg from gan.json; with ``detail`` behind it the
-plausible detail of one photo is measured first (half an hour), with ``stages`` a trained start on one photo
-(half an hour), with ``measure`` the fits with and without the adversarial loss, the ingredients and the
-captures (a day; MITSVBRDF_DATA names the data; a run that stopped continues). The paper's schedule, gradients
-and pictures stay as they were measured.
+``python docs/results/gan.py`` makes gan.md and gan.svg from gan.json. Names of measurements behind it are
+measured first: those of FITS, ``solved``, ``photo``, ``stages`` or ``detail`` (minutes to an hour each;
+MITSVBRDF_DATA names the data; fits that a stopped run has done are not done again). The paper's schedule,
+gradients and pictures stay as they were measured.
 """
 
 import json
@@ -23,8 +22,9 @@ from mitsvbrdf.bench.table import as_markdown, summary
 HERE = Path(__file__).parent
 MAPS = ["diffuse", "specular", "roughness", "normal", "mean", "novel_light"]
 HEADS = [*MAPS[:-1], "new light"]
-BEFORE, NOW, WITHOUT = "before feature matching", "adversarial loss", "no adversarial loss"
-SOLVED, ONE, STAGES, LADDER = "from solved maps", "one photo", "two stages", "ladder"
+NOW, WITHOUT, UNMATCHED = "known materials", "no adversarial loss", "no feature matching"
+GROWN, SHOTS, LADDER = "growing, 256 px", "captures", "ingredients"
+SOLVED, ONE, STAGES = "from solved maps", "one photo", "two stages"
 LARGE, DEEP = "from solved maps, 256 px", ("10_brick_uneven_stones", "20_synteticfoam", "36_leather_tiles")
 BESIDE_NOTHING, BESIDE = "flash at the lens", "flash 0.1 sides beside"
 
@@ -33,9 +33,18 @@ VARIANTS = {
     "full": {}, WITHOUT: {"adversarial": 0.0, "features": 0.0}, "no diffuse loss": {"diffuse": 0.0},
     "the paper's guess": {"guess": "min"}, "no start at the guess": {"start": "untrained"},
     "two-stream generator": {"generator": "two-stream"}, "bce": {"game": "bce"}, "hinge": {"game": "hinge"},
-    "not paired": {"paired": False}, "no feature matching": {"features": 0.0}, "no growing": {"grow": False},
+    "not paired": {"paired": False}, UNMATCHED: {"features": 0.0}, "no growing": {"grow": False},
     "one picture a step": {"pictures": 1}, "no smoothness": {"smooth": 0.0},
     "one specular level": {"grey_specular": True}, "no flash offset": {"flash_offset": False},
+}
+SIX = ["brick-uneven-stones", "fake-022", "fake-030", "metal-plating", "rotten-wood-boards", "synthetic-foam"]
+# A measurement -> materials, captures ("none", or None: all), pixels, seconds, seeds, and variants. The
+# default has one seed.
+FITS = {
+    NOW: (SIX, ["none"], 128, 40, (0, 1, 2), ("full", WITHOUT, UNMATCHED)),
+    LADDER: (["metal-plating", "fake-022"], ["none"], 128, 45, (0,), tuple(VARIANTS)),
+    GROWN: (["metal-plating"], ["none"], 256, 120, (0,), ("full", "no growing")),
+    SHOTS: (["none"], None, 128, 40, (0,), ("full",)),
 }
 
 
@@ -45,15 +54,9 @@ def of(record: dict, measured: str, kind: str = "material", method: str | None =
             and method in (None, r["method"])]
 
 
-def versions(record: dict) -> str:
-    """Each version of the program, and what was measured with it."""
-    made: dict[str, dict] = {}
-    for r in record["records"]:
-        name = r["measured"]
-        version = r.get("version") or record["measured"][name]["versions"]["mitsvbrdf"]
-        made.setdefault(version.split("+")[0], {})[name] = None
-    return "; ".join(f"{version}: {', '.join(f'*{name}*' for name in names)}"
-                     for version, names in made.items())
+def versions(record: dict, *measured: str) -> str:
+    """The versions of the program that some measurements were made with."""
+    return " and ".join(sorted({r["version"] for r in record["records"] if r["measured"] in measured}))
 
 
 def means(records: list) -> list[str]:
@@ -63,14 +66,9 @@ def means(records: list) -> list[str]:
 
 def known(record: dict) -> pd.DataFrame:
     """Errors of the maps, mean of six known materials."""
-    start = [r["errors"]["the start"] for r in record["references"] if r["measured"] == NOW]
-    rows = {"the start: guess, one lobe, flat": [f"{sum(e[name] for e in start) / len(start):.4f}"
-                                                 for name in MAPS]}
-    for title, measured, method in (
-            ("`gan`, 40 s", NOW, "full"), ("without the adversarial loss", NOW, WITHOUT),
-            ("without feature matching", BEFORE, "full"), ("`hierarchical`", BEFORE, "hierarchical"),
-            ("`gan`, 256 px, 300 s", "256 px, 300 s", "gan")):
-        rows[title] = means(of(record, measured, method=method))
+    rows = {title: means(of(record, measured, method=method)) for title, measured, method in (
+        ("`gan`, 40 s", NOW, "full"), ("without the adversarial loss", NOW, WITHOUT),
+        ("without feature matching", NOW, UNMATCHED), ("`hierarchical`", NOW, "hierarchical"))}
     return pd.DataFrame.from_dict(rows, orient="index", columns=HEADS)
 
 
@@ -105,25 +103,21 @@ def game(record: dict) -> pd.DataFrame:
 def published(record: dict) -> pd.DataFrame:
     """Maps that others published, and ours of the same materials."""
     rows = {}
-    for r in record["references"]:
-        if r["measured"] == BEFORE and r["name"].startswith("fake"):
-            for who in (who for who in r["errors"] if not who.startswith(("guess", "the start"))):
-                rows[f"{r['name']}: {who}, published maps"] = [f"{r['errors'][who][name]:.4f}"
-                                                               for name in MAPS[:5]]
-            for title, measured, method in (("`gan`, 40 s", NOW, "full"),
-                                            ("`hierarchical`", BEFORE, "hierarchical")):
-                here = [x for x in of(record, measured, method=method) if x["name"] == r["name"]]
-                rows[f"{r['name']}: {title}"] = means(here)[:5]
+    for name, others in record["references"].items():
+        for who, errors in others.items():
+            rows[f"{name}: {who}, published maps"] = [f"{errors[each]:.4f}" for each in MAPS[:5]]
+        for title, method in (("`gan`, 40 s", "full"), ("`hierarchical`", "hierarchical")):
+            here = [r for r in of(record, NOW, method=method) if r["name"] == name]
+            rows[f"{name}: {title}"] = means(here)[:5]
     return pd.DataFrame.from_dict(rows, orient="index", columns=HEADS[:5])
 
 
 def captures(record: dict) -> pd.DataFrame:
     """Medians over eighteen captures."""
     rows = {}
-    for title, measured, method in (("`gan`, 128 px, 40 s, without feature matching", BEFORE, "gan"),
-                                    ("`hierarchical`, 128 px", BEFORE, "hierarchical"),
-                                    ("`gan`, 256 px, 300 s", "256 px, 300 s", "gan"),
-                                    ("`gan` from solved maps, 128 px", SOLVED, "gan"),
+    for title, measured, method in (("`gan`, 40 s", SHOTS, "full"),
+                                    ("`hierarchical`", SHOTS, "hierarchical"),
+                                    ("`gan` from solved maps", SOLVED, "gan"),
                                     ("`hierarchical` beside it", SOLVED, "hierarchical")):
         here = of(record, measured, "capture", method)
         rows[title] = [f"{median(r['errors'][name] for r in here):.4f}" for name in ("held_out", "seen")]
@@ -195,8 +189,6 @@ def two_stages(record: dict) -> pd.DataFrame:
 def page(record: dict) -> str:
     """The text of gan.md."""
     bamboo = next(r for r in record["schedule"] if r["kind"] == "capture")
-    matched = [summary(of(record, "feature matching", method=m), "mean")["median"].iloc[0]
-               for m in ("full", "with feature matching")]
     fits = of(record, SOLVED, method="gan")
 
     def changed_maps(measured: str) -> int:
@@ -209,8 +201,7 @@ def page(record: dict) -> str:
     stages = of(record, STAGES)
     played = " and ".join(dict.fromkeys(r["name"] for r in stages))
     changed = [name for name in seen[0] if abs(seen[0][name] - seen[1][name]) > 1e-5]
-    five = [means(of(record, "ladder, seeds", method=m))[k] for k in (4, 5) for m in ("full", "the five off")]
-    grown = [means(of(record, "ladder, 256 px", method=m))[4] for m in ("full", "no growing")]
+    grown = [means(of(record, GROWN, method=m))[4] for m in ("full", "no growing")]
     return f"""# `gan`, beside the paper
 
 ## Known materials
@@ -218,11 +209,10 @@ def page(record: dict) -> str:
 {as_markdown(known(record))}
 
 RMSE of maps encoded to 0 to 1 and of pictures under new light: mean of six materials, median of three seeds \
-(`gan` at 300 s, `hierarchical`: one). Maps have 128 px where nothing else is said. On this page `gan` is \
+(`hierarchical`: one). Maps have 128 px where nothing else is said. On this page `gan` is \
 `--start guess` where *from solved maps* is not said. The adversarial loss with feature matching improves \
-roughness and normals, hardly diffuse, and makes specular worse. After 30 s, feature matching takes the mean \
-error from {matched[0]:.4f} to {matched[1]:.4f} (two seeds). Each measurement in gan.json has its version of \
-the program: {versions(record)}.
+diffuse, roughness and normals, and makes specular worse. Where no version is stated, it is \
+{versions(record, NOW, LADDER, GROWN, SHOTS)}.
 
 {as_markdown(game(record))}
 
@@ -239,7 +229,7 @@ Mean RMSE of {len(fits)} known materials (two are the same), 64 px, 200 steps, o
 the largest difference of any material. The change of the adversarial game was kept in \
 {changed_maps(SOLVED)} of {4 * len(fits)} maps: it predicts held-out patches of the photos no better. At 256 \
 px and 300 s it was kept in {changed_maps(LARGE)} of {4 * len(DEEP)} maps of the three materials of deepest \
-relief ({", ".join(DEEP)}).
+relief ({", ".join(DEEP)}). Versions {versions(record, SOLVED, LARGE)}.
 
 ## Maps that others published
 
@@ -254,7 +244,7 @@ the first table.
 
 Mean RMSE of maps from one photo each (256 px, stated view, 1.2 patch sides above). The published maps were \
 recovered from the publishers' own photos. Two of ten materials are missing: their photos fail the test of \
-repetition.
+repetition. Version {versions(record, ONE, STAGES)}, as in the tables below.
 
 | one flash photo of a stationary material | what it does | here |
 | --- | --- | --- |
@@ -284,16 +274,17 @@ trained start gives better diffuse and specular maps; both stay far behind looks
 
 {as_markdown(captures(record))}
 
-Median RMSE of 18 captures; photos 4 and 7 are held out. From solved maps (200 steps, one seed) the game's \
-change was kept in {len(changed)} capture. In the last two rows photos seen are rendered with the stated \
-views, in the others with those of the fit.
+Median RMSE of 18 captures at 128 px; photos 4 and 7 are held out. From solved maps (200 steps, one seed) \
+the game's change was kept in {len(changed)} capture. In the last two rows photos seen are rendered with the \
+stated views, in the others with those of the fit.
 
 ## The paper's tables and its schedule
 
 {as_markdown(printed(record))}
 
 RMSE of maps. The paper's sets 4 and 5 are not published, so the printed rows tell only the order of \
-magnitude. `gan-two-stage` runs the paper's 25,000 iterations at 64 px and width 16, and reaches that order. \
+magnitude. `gan-two-stage` ran the paper's 25,000 iterations at 64 px and width 16 (version 0.1.0), and \
+reaches that order. \
 On the capture {bamboo["name"]} (32 px) its RMSE of photos seen is {bamboo["errors"]["seen"]:.4f}, of \
 held-out ones {bamboo["errors"]["held_out"]:.4f}.
 
@@ -301,16 +292,8 @@ held-out ones {bamboo["errors"]["held_out"]:.4f}.
 
 {as_markdown(ingredients(record, LADDER))}
 
-Mean of metal-plating and fake-022, 128 px, 45 s, one seed. *The five* have been removed since: the \
-discriminator saw the level of pictures; it saw the half vector; it had a head start; renderings were \
-clipped only where photos are; step sizes fell. The other figures of `gan` from versions before 2.0.0 are \
-with them. Over three materials and two seeds the mean was {five[0]} with and {five[1]} without them (new \
-light {five[2]} and {five[3]}). Growing pays at full size: after 120 s at 256 px, metal-plating has a mean \
-of {grown[0]} with it, {grown[1]} without.
-
-{as_markdown(ingredients(record, "ingredients"))}
-
-The same two materials after 30 s, measured with an earlier version. Here `full` has no feature matching.
+Mean of metal-plating and fake-022, 128 px, 45 s, one seed. Growing at full size: after 120 s at 256 px, \
+metal-plating has a mean of {grown[0]} with it, {grown[1]} without.
 
 ## Gradients of the generator's weights
 
@@ -354,14 +337,13 @@ def from_solved(data: Path, renderer) -> Iterator[dict]:
     tasks = [*find_tasks(["none"], None, data, 128, (4, 7), None, renderer),
              *find_tasks(None, ["none"], data, 64, (), None, renderer), *strips]
     methods = {"gan": GanConfig(iterations=200), "hierarchical": HierarchicalConfig(iterations=200)}
-    for r in run(methods, tasks, [1200], [0], renderer, HERE / "gan.jsonl",
-                 lambda text, share: print(f"{share:4.0%} {text}", flush=True)):
+    for r in run(methods, tasks, [1200], [0], renderer, HERE / "gan.jsonl", tell):
         yield {**r, "measured": SOLVED}
     views = read_capture(data / "captures/cards-blue", resolution=256).views
     deep = [replace(known_material(str(data / "one-photo/known" / name / "strip.png"), 256, views, renderer,
                                    "cards-blue"), name=name) for name in DEEP]
     for r in run({"gan": GanConfig(), "hierarchical": HierarchicalConfig()}, deep, [300], [0], renderer,
-                 HERE / "gan.jsonl", lambda text, share: print(f"{share:4.0%} {text}", flush=True)):
+                 HERE / "gan.jsonl", tell):
         yield {**r, "measured": LARGE}
 
 
@@ -370,7 +352,7 @@ def from_one_photo(folders: list[Path], renderer) -> Iterator[dict]:
     import math
 
     from mitsvbrdf import HierarchicalConfig, Views, load_maps
-    from mitsvbrdf.bench.run import fit
+    from mitsvbrdf.bench.run import fit, version
     from mitsvbrdf.bench.tasks import known_material
 
     for folder in folders:
@@ -378,7 +360,7 @@ def from_one_photo(folders: list[Path], renderer) -> Iterator[dict]:
             view = Views.of([[0.0, 0.0, 1.2]], [[beside, 0.0, 1.2]], math.pi * 1.44)
             task = known_material(str(folder / "strip.png"), 256, view, renderer, "one view")
             result, predict = fit(task.photos, renderer, HierarchicalConfig(budget=600), lambda share: None)
-            row = {"measured": ONE, "kind": "material", "name": folder.name}
+            row = {"measured": ONE, "kind": "material", "name": folder.name, "version": version()}
             yield row | {"method": method, "errors": task.errors(result.svbrdf, predict),
                          "stationary": result.record["repeats"]["stationary"],
                          "seconds": result.record["seconds"]}
@@ -407,6 +389,7 @@ def detail_of_one_photo(folders: list[Path], renderer, seed: int) -> Iterator[di
     from tempfile import TemporaryDirectory
 
     from mitsvbrdf import Fit, Views, load_maps, write_capture
+    from mitsvbrdf.bench.run import version
     from mitsvbrdf.bench.tasks import known_material
 
     power, places = math.pi * 1.44, [[0.25, 0.2, 1.2], [-0.3, 0.1, 1.2], [0.1, -0.3, 1.2]]
@@ -423,7 +406,7 @@ def detail_of_one_photo(folders: list[Path], renderer, seed: int) -> Iterator[di
             found = {"maps": load_maps(out / "maps"), "detail": load_maps(out / "detail")}
         truth, *shown = (renderer.render(maps, new).clamp(0, 1) ** (1 / 2.2)
                          for maps in (task.truth.resized(128), *found.values()))
-        yield {"name": folder.name, "seed": seed, **{
+        yield {"name": folder.name, "seed": seed, "version": version(), **{
             name: {"patches": patch_distance(pictures, truth),
                    "novel_light": float((pictures - truth).square().mean().sqrt()),
                    "mean": task.errors(maps, lambda photos: 0.0)["mean"]}
@@ -437,6 +420,7 @@ def in_two_stages(folders: list[Path], renderer) -> Iterator[dict]:
     from tempfile import TemporaryDirectory
 
     from mitsvbrdf import Fit, Views, load_maps, write_capture
+    from mitsvbrdf.bench.run import version
     from mitsvbrdf.bench.tasks import known_material
 
     view = Views.of([[0.0, 0.0, 1.2]], [[0.0, 0.0, 1.2]], math.pi * 1.44)
@@ -465,62 +449,51 @@ def in_two_stages(folders: list[Path], renderer) -> Iterator[dict]:
                 task = known_material(str(folder / "strip.png"), 64, view, renderer, "one view")
                 errors = task.errors(load_maps(out / "maps"), lambda photos: 0.0)
                 yield {"measured": STAGES, "kind": "material", "name": folder.name, "method": method,
-                       "errors": errors, "trained_on": picture.name}
+                       "errors": errors, "trained_on": picture.name, "version": version()}
 
 
-def measure(record: dict) -> dict:
-    """Fit everything of which the seconds are counted."""
-    from mitsvbrdf import GanConfig, HierarchicalConfig, make_renderer
+def fits(measured: str, data: Path, renderer) -> Iterator[dict]:
+    """The fits of one measurement, and the default of its tasks at 128 px."""
+    from mitsvbrdf import GanConfig, HierarchicalConfig
     from mitsvbrdf.bench.run import run
-    from mitsvbrdf.bench.tasks import data_folder, find_tasks
+    from mitsvbrdf.bench.tasks import find_tasks
 
-    renderer, data, full = make_renderer("mitsuba"), data_folder(), GanConfig(start="guess")
-    variants = {name: replace(full, **changes) for name, changes in VARIANTS.items()}
-    materials = sorted({r["name"] for r in of(record, NOW)})
-    found = []
-    for measured, methods, names, shots, side, budget, seeds in (
-            (NOW, {name: variants[name] for name in ("full", WITHOUT)}, materials, ["none"], 128, 40,
-             [0, 1, 2]),
-            (LADDER, variants, ["metal-plating", "fake-022"], ["none"], 128, 45, [0]),
-            ("256 px, 300 s", {"gan": full}, materials, None, 256, 300, [0]),
-            (BEFORE, {"hierarchical": HierarchicalConfig()}, materials, None, 128, 40, [0])):
-        tasks = find_tasks(names, shots, data, side, (4, 7), None, renderer)
-        records = run(methods, tasks, [budget], seeds, renderer, HERE / "gan.jsonl",
-                      lambda text, share: print(f"{share:4.0%} {text}", flush=True))
-        found += [{**r, "measured": measured} for r in records]
-    found += list(from_solved(data, renderer))
-    found += list(from_one_photo(sorted((data / "one-photo/known").iterdir()), renderer))
-    done = {(r["measured"], r["method"]) for r in found}
-    others = [r for r in record["records"] if (r["measured"], r["method"]) not in done]
-    return {**record, "records": [*found, *others]}
+    names, shots, side, budget, seeds, variants = FITS[measured]
+    tasks = find_tasks(names, shots, data, side, (4, 7), None, renderer)
+    groups = [({name: replace(GanConfig(start="guess"), **VARIANTS[name]) for name in variants}, seeds)]
+    if measured in (NOW, SHOTS):
+        groups.append(({"hierarchical": HierarchicalConfig()}, seeds[:1]))
+    for methods, taken in groups:
+        for r in run(methods, tasks, [budget], taken, renderer, HERE / "gan.jsonl", tell):
+            yield {**r, "measured": measured}
 
 
-def measure_detail(record: dict) -> dict:
-    """Plausible detail of one photo alone."""
+def tell(text: str, share: float) -> None:
+    """Print how far a measurement is."""
+    print(f"{share:4.0%} {text}", flush=True)
+
+
+def measure(record: dict, name: str) -> dict:
+    """The record with one measurement made anew."""
     from mitsvbrdf import make_renderer
     from mitsvbrdf.bench.tasks import data_folder
 
-    strips = sorted((data_folder() / "one-photo/known").iterdir())
-    renderer = make_renderer("mitsuba")
-    return {**record, "one_photo_detail": [row for seed in range(3)
-                                           for row in detail_of_one_photo(strips, renderer, seed)]}
-
-
-def measure_stages(record: dict) -> dict:
-    """The paper's two stages on one photo alone."""
-    from mitsvbrdf import make_renderer
-    from mitsvbrdf.bench.tasks import data_folder
-
-    strips = sorted((data_folder() / "one-photo/known").iterdir())
-    others = [r for r in record["records"] if r["measured"] != STAGES]
-    return {**record, "records": [*others, *in_two_stages(strips, make_renderer("mitsuba"))]}
+    renderer, data = make_renderer("mitsuba"), data_folder()
+    strips = sorted((data / "one-photo/known").iterdir())
+    if name == "detail":
+        return {**record, "one_photo_detail": [row for seed in range(3)
+                                               for row in detail_of_one_photo(strips, renderer, seed)]}
+    found = list(from_solved(data, renderer) if name == "solved"
+                 else from_one_photo(strips, renderer) if name == "photo"
+                 else in_two_stages(strips[:4], renderer) if name == "stages" else fits(name, data, renderer))
+    made = {r["measured"] for r in found}
+    return {**record, "records": [*(r for r in record["records"] if r["measured"] not in made), *found]}
 
 
 if __name__ == "__main__":
     content = json.loads((HERE / "gan.json").read_text())
-    if sys.argv[1:]:
-        kinds = {"measure": measure, "detail": measure_detail, "stages": measure_stages}
-        content = kinds[sys.argv[1]](content)
+    for name in sys.argv[1:]:
+        content = measure(content, name)
         (HERE / "gan.json").write_text(json.dumps(content))
     (HERE / "gan.md").write_text(page(content))
     (HERE / "gan.svg").write_bytes(svg(figure(content)))
