@@ -341,7 +341,8 @@ def renderer_cases() -> Iterator[dict]:
         cameras = [[x, y, 2.0] for y in rows for x in rows]
         views = Views.of(cameras, [[x + 0.1, y, z] for x, y, z in cameras], 12.0)
         with TemporaryDirectory() as place:
-            write_capture(known_material("builtin:inlay", 16, views, renderer, "grid").photos, Path(place, "views"))
+            task = known_material("builtin:inlay", 16, views, renderer, "grid")
+            write_capture(task.photos, Path(place, "views"))
             file = Path(place, "found.json")
             command("crosscheck", "builtin:inlay", "--views", Path(place, "views"), "--resolution", side,
                     "--repeats", 3, "--json", file)
