@@ -65,9 +65,11 @@ def test_there_are_at_most_ten_pages_and_nothing_beside_them():
         assert path.stem in pages or path.name in shown or path.name == "__pycache__", path
 
 
-@pytest.mark.parametrize("name, config", [("omitted", "HierarchicalConfig"), ("gan", "GanConfig")])
-def test_every_variant_can_be_measured(name, config):
+@pytest.mark.parametrize("name, variants, config", [
+    ("omitted", "VARIANTS", "HierarchicalConfig"), ("omitted", "HYBRID", "HybridConfig"),
+    ("gan", "VARIANTS", "GanConfig")])
+def test_every_variant_can_be_measured(name, variants, config):
     kind = getattr(mitsvbrdf, config)
-    for changes in loaded(FOLDER / f"{name}.py").VARIANTS.values():
+    for changes in getattr(loaded(FOLDER / f"{name}.py"), variants).values():
         assert set(changes) <= {field.name for field in fields(kind)}
         kind(**changes).check()

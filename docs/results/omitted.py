@@ -2,7 +2,7 @@
 
 ``python docs/results/omitted.py`` makes omitted.md and omitted.svg from omitted.json. With ``fits``,
 ``renders`` or ``detail`` behind it that part is measured first (an hour, minutes, an hour; MITSVBRDF_DATA
-names the photos; ``fits`` goes on where it was stopped).
+names the photos; ``fits`` goes on where it was stopped). ``earlier`` stays as it was measured.
 """
 
 import json
@@ -25,7 +25,8 @@ ERRORS = {"material": {"mean": "maps", "novel_light": "new light"},
 FLOOR = 0.001  # errors below count as this
 PATCHES, RMSE = 0.8, 1.1  # of the maps' errors: the bar of detail
 HELD_OUT = (4, 7)
-SIDE, TURNS = 256, 9  # of renders
+SIDE, TURNS = 256, 41  # of renders
+STEPS = 300  # of hybrid
 
 # A part of the default method -> the settings of HierarchicalConfig that take it away. Photos of known
 # materials follow the model exactly, so what is for other photos is omitted from them by itself.
@@ -37,9 +38,16 @@ VARIANTS = {
     "weights of pixels": {"highlight_reach": 0.0},
     "flash offset": {"flash_offset": False},
     "view refinement": {"calibrate": False},
+    "cross-validation": {"noise": 0.03},
+    "tied stage": {"exact": True, "multi_start": False},
 }
-PARTS = {"material": list(VARIANTS)[:3],
+WITH = {"tied stage": {"exact": False}}  # what a part is compared with, where that is not the whole method
+PARTS = {"material": [*list(VARIANTS)[:3], "tied stage"],
          "capture": [part for part in VARIANTS if part != "multi-start"]}  # which is for exact photos
+# The same of ``hybrid``: its losses.
+HYBRID = {"photometric loss": {"photometric": 0.0}, "diffuse loss": {"diffuse": 0.0},
+          "smoothness of specular and roughness": {"smooth": 0.0}, "price on tilted normals": {"flat": 0.0},
+          "adversarial loss": {"adversarial": 0.0}}
 # A part of a render -> renderer, BSDF, maps by name (None: as made), and what of Needs is put in again.
 RENDERS = {
     "specular lobe, where the map is 0": ("mitsuba", "roughconductor", {"specular": 0.0}, "specular_lobe"),
@@ -55,12 +63,14 @@ RENDERS = {
 }
 
 
-def ratios(records: list, kind: str, value) -> pd.DataFrame:  # noqa: ANN001
-    """A value of fits without each part, over that of the whole method; a row for each task."""
+def ratios(records: list, kind: str, method: str, value) -> pd.DataFrame:  # noqa: ANN001
+    """A value of fits without each part of a method, over that with it; a row for each task."""
     rows = [{"method": r["method"], "name": r["name"], "value": value(r)} for r in records
-            if r["kind"] == kind]
+            if r["kind"] == kind and r["config"]["class"] == method]
     found = pd.DataFrame(rows).pivot(index="name", columns="method", values="value")
-    return found[PARTS[kind]].div(found["full"], axis=0)
+    parts = PARTS[kind] if method == "HierarchicalConfig" else HYBRID
+    return pd.DataFrame({part: found[part] / found[f"{part}, with" if part in WITH else "full"]
+                         for part in parts})
 
 
 def spread(values: pd.Series) -> str:
@@ -69,11 +79,11 @@ def spread(values: pd.Series) -> str:
     return f"{middle:.2f} ({low:.2f} to {high:.2f})"
 
 
-def fits(records: list, kind: str) -> pd.DataFrame:
-    """Errors and seconds without each part, over those of the whole method."""
-    found = {title: ratios(records, kind, lambda r, error=error: max(r["errors"][error], FLOOR))
+def fits(records: list, kind: str, method: str) -> pd.DataFrame:
+    """Errors and seconds without each part, over those with it."""
+    found = {title: ratios(records, kind, method, lambda r, error=error: max(r["errors"][error], FLOOR))
              for error, title in ERRORS[kind].items()}
-    found["seconds"] = ratios(records, kind, lambda r: r["seconds"])
+    found["seconds"] = ratios(records, kind, method, lambda r: r["seconds"])
     return pd.DataFrame({title: {part: spread(each[part]) for part in each} for title, each in found.items()})
 
 
@@ -87,19 +97,6 @@ def renders(records: list) -> pd.DataFrame:
             f"{r['difference']:.1g}"]
     return pd.DataFrame.from_dict(rows, orient="index", columns=[
         "with, ms", "without, ms", "ratio", "largest difference"])
-
-
-def earlier(records: list) -> pd.DataFrame:
-    """Parts measured with an earlier version alone: ratio of seconds, and what omitting them costs."""
-    rows = {}
-    for r in records:
-        ratio = statistics.median(a / b for a, b in zip(r["seconds"]["with"], r["seconds"]["without"]))
-        errors = [max(r["errors"]["without"][name], FLOOR) / max(value, FLOOR)
-                  for name, value in r["errors"]["with"].items()]
-        same = "the same picture" if r.get("difference", 1) < 1e-5 else "another picture"
-        rows[f"{r['part']}, {r['of']}"] = [f"{ratio:.2f}", f"{max(errors):.2f}" if errors else same]
-    return pd.DataFrame.from_dict(rows, orient="index", columns=["seconds, with / without",
-                                                                 "largest error, without / with"])
 
 
 def detail(rows: list) -> pd.DataFrame:
@@ -120,6 +117,7 @@ def detail(rows: list) -> pd.DataFrame:
 def page(record: dict) -> str:
     """The text of omitted.md."""
     versions = " and ".join(dict.fromkeys(r["version"] for r in record["fits"]))
+    lobe, guess = record["earlier"], record["guess"]
     counts = {kind: len({r["name"] for r in record["fits"] if r["kind"] == kind})
               for kind in ("material", "capture")}
     added = detail(record["detail"])
@@ -128,34 +126,37 @@ def page(record: dict) -> str:
 
 ## Of a fit
 
-{as_markdown(fits(record["fits"], "material"))}
+{as_markdown(fits(record["fits"], "material", "HierarchicalConfig"))}
 
 {counts["material"]} known materials. Their photos follow the model, so a fit omits by itself what is for \
 other photos (`fit --explain`).
 
-{as_markdown(fits(record["fits"], "capture"))}
+{as_markdown(fits(record["fits"], "capture", "HierarchicalConfig"))}
 
-{counts["capture"]} captures; photos 4 and 7 are held out. Both tables divide errors and seconds of the loop \
-without a part by those of the whole method: median and quartiles. Above 1.00 the fit is worse, or slower, \
-without the part. 128 px, seed 0, version {versions}, one core.
+{counts["capture"]} captures; photos 4 and 7 are held out. All tables of fits divide errors and seconds of \
+the loop without a part by those with it: median and quartiles. Above 1.00 the fit is worse, or slower, \
+without the part. 128 px, seed 0, version {versions}, one core beside other work. Without the *tied stage* \
+there are no view refinement and cross-validation either; it is compared with a fit that has it and omits \
+multi-start. No switch takes away the search for a specular lobe: on a matte material, version 0.1.0 took \
+{statistics.median(a / b for a, b in zip(*lobe["seconds"].values())):.2f} times the seconds with it.
 
 ![Errors of held-out photos without each part](omitted.svg)
+
+### `hybrid`
+
+{as_markdown(fits(record["fits"], "material", "HybridConfig"))}
+
+The same known materials at 64 px, {STEPS} steps each. The guessed diffuse map of nine photos of \
+{SIDE} px, which the diffuse loss compares with, takes {1e3 * statistics.median(guess["seconds"]):.0f} ms. \
+Parts of `gan` are measured [on its page](gan.md#each-ingredient).
 
 ## Of a render
 
 {as_markdown(renders(record["renders"]))}
 
 Nine views of {SIDE} px, forward and backward to the maps that are not held fixed, median and quartiles of \
-{TURNS} turns. No scene here needs the part; *with* computes it all the same. The largest difference of the \
-pictures is divided by the brightest pixel.
-
-## Measured with version 0.1.0 alone
-
-{as_markdown(earlier(record["earlier"]))}
-
-Seconds with the part are divided by those without: above 1.00 omitting it saves time. Errors without the \
-part are divided by those with it: below 1.00 the fit is better without. The largest ratio of maps, new \
-light and held-out photos is shown. Fits at 64 px, median of three turns. Renders as above.
+{TURNS} turns. No scene here needs the part, but for light falloff; *with* computes it all the same. The \
+largest difference of the pictures is divided by the brightest pixel.
 
 ## Plausible detail
 
@@ -171,7 +172,7 @@ most {PATCHES} and RMSE at most {RMSE} times those of the maps); the median rati
 
 def figure(record: dict) -> Figure:
     """A box for each part: held-out error without it over that with it."""
-    found = ratios(record["fits"], "capture", lambda r: r["errors"]["held_out"])
+    found = ratios(record["fits"], "capture", "HierarchicalConfig", lambda r: r["errors"]["held_out"])
     drawing = Figure(figsize=(7, 3), layout="constrained")
     axes = drawing.subplots()
     axes.boxplot([found[name] for name in found], orientation="horizontal", tick_labels=list(found))
@@ -183,17 +184,37 @@ def figure(record: dict) -> Figure:
 
 def measure_fits(lines: Path) -> Iterator[dict]:
     """Fits with all parts, and without each."""
-    from mitsvbrdf import HierarchicalConfig, make_renderer
+    from mitsvbrdf import HierarchicalConfig, HybridConfig, make_renderer
     from mitsvbrdf.bench.run import run
     from mitsvbrdf.bench.tasks import data_folder, find_tasks
 
     renderer, full = make_renderer("mitsuba"), HierarchicalConfig()
-    everything = find_tasks(None, None, data_folder(), 128, HELD_OUT, None, renderer)
-    for kind, parts in PARTS.items():
-        methods = {"full": full, **{part: replace(full, **VARIANTS[part]) for part in parts}}
-        tasks = [task for task in everything if task.kind == kind]
+    losses = HybridConfig(iterations=STEPS)
+    plans = [("material", 64, {"full": losses, **{part: replace(losses, **changes)
+                                                  for part, changes in HYBRID.items()}})]
+    plans += [(kind, 128, {"full": full, **{part: replace(full, **VARIANTS[part]) for part in parts},
+                           **{f"{part}, with": replace(full, **WITH[part]) for part in WITH}})
+              for kind, parts in PARTS.items()]
+    for kind, side, methods in plans:
+        names, shots = (None, ["none"]) if kind == "material" else (["none"], None)
+        tasks = find_tasks(names, shots, data_folder(), side, HELD_OUT, None, renderer)
         yield from run(methods, tasks, [600], [0], renderer, lines,
                        lambda text, share: print(f"{share:4.0%} {text}", flush=True))
+
+
+def measure_guess() -> dict:
+    """Seconds of the guessed diffuse map."""
+    from mitsvbrdf import guess_diffuse, make_renderer
+    from mitsvbrdf.bench.run import version
+    from mitsvbrdf.bench.tasks import find_tasks
+
+    task, = find_tasks(["inlay"], ["none"], None, SIDE, (), "builtin:grid", make_renderer("mitsuba"))
+    taken = []
+    for _ in range(TURNS):
+        begun = time.perf_counter()
+        guess_diffuse(task.photos)
+        taken.append(round(time.perf_counter() - begun, 6))
+    return {"seconds": taken, "version": version()}
 
 
 def timed_render(renderer, svbrdf, wanted: tuple, views) -> tuple[float, object]:  # noqa: ANN001
@@ -229,12 +250,12 @@ def measure_renders() -> Iterator[dict]:
                    for name, value in changes.items()}
         return SVBRDF(bsdf, maps[bsdf] | changed)
 
-    def in_turn(part: str, names: str, full: tuple, lean: tuple) -> dict:
+    def in_turn(part: str, names: str, full: tuple, lean: tuple, lean_views=views) -> dict:  # noqa: ANN001
         sides = {"with": full, "without": lean}
         seconds, images = {side: [] for side in sides}, {}
         for turn in range(TURNS + 1):  # the first compiles kernels
             for side, what in sides.items():
-                taken, images[side] = timed_render(*what, views)
+                taken, images[side] = timed_render(*what, views if side == "with" else lean_views)
                 if turn:
                     seconds[side].append(round(taken, 6))
         print(part, flush=True)
@@ -250,6 +271,13 @@ def measure_renders() -> Iterator[dict]:
     plain, inlay = material("roughconductor", {"specular": 0.3, "normal": None}), task.truth
     yield in_turn("gradients of three maps that are held fixed", "mitsuba", (fast, inlay, tuple(made)),
                   (fast, inlay, ("diffuse",)))
+    yield in_turn("light falloff", "mitsuba", (fast, inlay, ("normal",)), (fast, inlay, ("normal",)),
+                  replace(views, falloff="none"))
+    for bsdf, names in (("roughconductor", tuple(made)), ("principled", ("base_color", "metallic"))):
+        whole, all_names = material(bsdf, {}), tuple(maps[bsdf])
+        for name in names:
+            yield in_turn(f"gradient of {name}", "mitsuba", (fast, whole, all_names),
+                          (fast, whole, tuple(each for each in all_names if each != name)))
     yield in_turn("ray tracing", "mitsuba-scene, mitsuba",
                   (make_renderer("mitsuba-scene"), inlay, ("normal",)), (fast, inlay, ("normal",)))
     yield in_turn("all, of a flat and grey material", "mitsuba-scene, mitsuba",
@@ -320,10 +348,12 @@ def measure_detail() -> Iterator[dict]:
 
 if __name__ == "__main__":
     file = HERE / "omitted.json"
-    measures = {"fits": lambda: measure_fits(file.with_suffix(".jsonl")), "renders": measure_renders,
-                "detail": measure_detail}
-    found = {part: list(measures[part]()) for part in sys.argv[1:]}
-    content = json.loads(file.read_text()) | found
-    file.write_text(json.dumps(content))
+    measures = {"fits": lambda: {"fits": list(measure_fits(file.with_suffix(".jsonl")))},
+                "renders": lambda: {"renders": list(measure_renders()), "guess": measure_guess()},
+                "detail": lambda: {"detail": list(measure_detail())}}
+    content = json.loads(file.read_text())
+    for part in sys.argv[1:]:
+        content |= measures[part]()
+        file.write_text(json.dumps(content))
     (HERE / "omitted.md").write_text(page(content))
     (HERE / "omitted.svg").write_bytes(svg(figure(content)))
