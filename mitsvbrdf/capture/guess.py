@@ -166,7 +166,7 @@ def _cost(errors: Tensor, texels: Tensor, prior: Tensor) -> Tensor:
 
 
 def _typical(*seen: Tensor) -> Tensor:
-    """The usual surface of this material: medians of texels, by the start that explains the photos better."""
+    """The typical parameters of the material: medians of fitted texels, from the start of lower mean cost."""
     found = []
     for start in STARTS:
         prior = _surface(**start)

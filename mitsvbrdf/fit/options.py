@@ -47,7 +47,7 @@ class FitOptions:
     variant: Literal["llvm_ad_rgb", "cuda_ad_rgb"] = "llvm_ad_rgb"
     """Mitsuba variant."""
     detail: Literal["none", "gan"] = "none"
-    """gan: also write OUT/detail, maps with plausible detail where no photo shows any. For pictures only."""
+    """gan: also write OUT/detail: maps with invented detail where photos leave texels open. For pictures."""
     detail_steps: int = DetailConfig.steps
     """Steps of --detail gan. 80 take under a minute at 256 px."""
 

@@ -57,8 +57,8 @@ def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, refe
 
     Args:
         image: H x W x C, linear, the mean of many samples a pixel.
-        variance_or_passes: the variance of the values of ``image`` (that of one sample over their number), H
-            x W x C; or the independent pictures, K x H x W x C with K >= 8, whose mean ``image`` is.
+        variance_or_passes: the variance of ``image`` (of one sample, over the number of samples), H x W x C;
+            or K >= 8 independent pictures whose mean is ``image``, K x H x W x C.
         reference: H x W x C, what it should be.
         reference_variance: of ``reference``, H x W x C or a number; it then shares no samples with ``image``.
         significance: how often a correct picture fails, at most: one in a hundred by default.

@@ -74,7 +74,7 @@ class ExactPhotos:
     def _measure_noise(self, x: Tensor) -> None:
         """Learn the noise again: photos that an early answer explains only in part seem too noisy.
 
-        With too much noise, a likelier lobe would outweigh a highlight that is reproduced.
+        If noise is overestimated, a lobe that the prior prefers wins over one that meets the highlight.
         """
         some = self.search.scales.of(Stage.MULTI_START)
         svbrdf = some.solver.svbrdf(self.search.scales.sampled(x))

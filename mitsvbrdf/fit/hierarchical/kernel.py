@@ -35,7 +35,7 @@ def tile_rows(side: int) -> int:
 
 
 def tiles(side: int, count: int | None = None) -> list[slice]:
-    """Tiles of ``count`` rows (default: all); the last begins early enough to be as large as the others."""
+    """``count`` rows (default: all) in tiles of equal size; the last tile overlaps the one before it."""
     count, rows = count or side, tile_rows(side)
     return [slice(first, first + rows) for first in (min(k, count - rows) for k in range(0, count, rows))]
 

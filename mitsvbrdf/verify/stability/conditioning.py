@@ -25,9 +25,9 @@ RANK = 1e-9
 
 def jacobian(twin: Renderer, svbrdf: SVBRDF, views: Views,
              display: Callable[[Tensor], Tensor] = color.encode) -> Tensor:
-    """The Jacobian of each texel, T x 3 N x P, float64; rows by view, then channel; columns by map.
+    """Derivatives of the 3N display values of T texels by their P map values, T x 3N x P, float64.
 
-    ``twin`` is ``analytic64``; ``display`` turns linear radiance into what a fit sees.
+    Rows are by view, then channel. ``twin`` is ``analytic64``. ``display`` encodes radiance as a fit sees it.
     """
     leaves = svbrdf.to(torch.float64).map(lambda t: t.detach().clone().requires_grad_())
     seen = display(twin.render(leaves, views))
