@@ -483,9 +483,10 @@ def measure(record: dict, name: str) -> dict:
     if name == "detail":
         return {**record, "one_photo_detail": [row for seed in range(3)
                                                for row in detail_of_one_photo(strips, renderer, seed)]}
-    found = list(from_solved(data, renderer) if name == "solved"
-                 else from_one_photo(strips, renderer) if name == "photo"
-                 else in_two_stages(strips[:4], renderer) if name == "stages" else fits(name, data, renderer))
+    others = {"solved": lambda: from_solved(data, renderer),
+              "photo": lambda: from_one_photo(strips, renderer),
+              "stages": lambda: in_two_stages(strips[:4], renderer)}
+    found = list(others[name]() if name in others else fits(name, data, renderer))
     made = {r["measured"] for r in found}
     return {**record, "records": [*(r for r in record["records"] if r["measured"] not in made), *found]}
 
