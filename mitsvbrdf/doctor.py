@@ -78,8 +78,10 @@ def _package(name: str, module: str) -> Row:
 
 def _extra(name: str, module: str) -> Row:
     """A package that only some files or figures need; without it all else works."""
-    found = _package(f"{name}: {DISTRIBUTIONS.get(module, module)}", module)
-    return found if found.ok else Row(found.name, "not installed", None, f'pip install "mitsvbrdf[{name}]"')
+    distribution = DISTRIBUTIONS.get(module, module)
+    found = _package(f"{name}: {distribution}", module)
+    value = found.value if version_of(distribution) else "not installed"
+    return found if found.ok else Row(found.name, value, None, f'pip install "mitsvbrdf[{name}]"')
 
 
 def _mitsuba(variant: str) -> list[Row]:

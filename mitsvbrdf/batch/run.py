@@ -189,7 +189,6 @@ class Batch:
         self.tell(f"[{self.words}] {line}")
 
     def _write_page(self) -> None:
-        """Write the page anew where it is time."""
         if (before := time.monotonic()) >= self._page_due:
             self.library.write(self.words)
             took = time.monotonic() - before

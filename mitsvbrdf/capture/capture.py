@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal, cast, get_args
@@ -56,11 +56,11 @@ def notes_of(colours: Mapping[str, Converted]) -> list[str]:
             for name, found in colours.items()]
 
 
-def used_transfer(transfer: Transfer, colours: Mapping[str, Converted]) -> tuple[Transfer, list[str]]:
-    """The transfer function to use, and a note: values converted from a profile are sRGB, not linear."""
-    if transfer != "linear" or not colours:
+def used_transfer(transfer: Transfer, profiles: Collection[str]) -> tuple[Transfer, list[str]]:
+    """The transfer function to use, and a note: values converted from profiles are sRGB, not linear."""
+    if transfer != "linear" or not profiles:
         return transfer, []
-    return "srgb", [f"transfer srgb is used, not linear: the photos state the profile {', '.join(colours)}, "
+    return "srgb", [f"transfer srgb is used, not linear: the photos state the profile {', '.join(profiles)}, "
                     "by which they were converted; remove it to have their values as they are"]
 
 

@@ -98,7 +98,6 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
 
 def _read(path: Path, resolution: int | None, falloff: Falloff, transfer: color.Transfer | None,
           report: Report) -> Capture:
-    """The capture at a path, by what lies there."""
     if path.is_file() and path.suffix.lower() == ".json":
         return from_json(path, falloff, resolution)
     if path.is_file() and path.suffix.lower() in SUFFIXES:

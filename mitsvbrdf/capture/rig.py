@@ -55,10 +55,3 @@ def check_enough(kept: Sized, rejected: Mapping[str, str], what: str = "that can
     reasons = "".join(f"; {', '.join(names)}: {reason}" for reason, names in named.items())
     raise CaptureError(f"{LEAST_PHOTOS} photos or more {what}",
                        f"{len(kept)} of {len(kept) + len(rejected)}{reasons}", fix)
-
-
-def one_place(count: int) -> OnePlace:
-    """The error to raise for ``count`` photos that are from one place."""
-    return OnePlace("photos from different places",
-                    f"{count} photos that show all in the same place: from a tripod, or rectified already",
-                    "move the phone between photos; `mitsvbrdf fit` takes rectified ones of the patch alone")

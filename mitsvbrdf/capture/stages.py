@@ -6,6 +6,7 @@ is in memory. Of each photo, the rectified patch and a small copy of the whole a
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal, get_args
 
 import torch
@@ -44,8 +45,6 @@ class CaptureResult:
     # flash, vignetting and exposures; None: unknown, and the flash is taken to be at the lens
     shading: Shading | None
     qualities: dict[str, PhotoQuality]  # how good each photo with a pose is, by name
-    # smallest angle (rad) between half vector and flat normal over all photos, 64 x 64, row 0 at the top
-    coverage: torch.Tensor
     next_view: NextView | None  # where one more photo would show most; None: nowhere much
     warnings: tuple[str, ...]  # what a user should know
 
@@ -53,6 +52,11 @@ class CaptureResult:
     def used(self) -> list[str]:
         """Names of the photos of the capture, in its order."""
         return list(self.rig.poses)
+
+    @cached_property
+    def coverage(self) -> torch.Tensor:
+        """Smallest angle (rad) between half vector and flat normal over all photos, 64 x 64, row 0 on top."""
+        return coverage_angle(self.capture.views, COVERAGE_SIDE)
 
     @property
     def covered(self) -> float:
@@ -89,20 +93,19 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
                           f"{depth_cm:g} cm", "measure how far it is, in cm")
     if reference not in get_args(Reference):
         raise ConfigError(f"a reference of {get_args(Reference)}", repr(reference), "choose one of these")
-    begun = of_one_camera(photos)
-    check_enough(*begun[:2])
     with noted() as faults:
-        made = _in_stages(photos, begun, sheet_cm, depth_cm, transfer, resolution, reference, report)
+        made = _in_stages(photos, sheet_cm, depth_cm, transfer, resolution, reference, report)
     return replace(made, warnings=tuple(dict.fromkeys((*faults, *made.warnings))))
 
 
-def _in_stages(photos: Sequence[Photo], begun: tuple[list[Photo], dict[str, str], list[str]],
-               sheet_cm: float | None, depth_cm: float, transfer: color.Transfer | None, resolution: int,
-               reference: Reference, report: Report) -> CaptureResult:
-    """The stages of :func:`make_capture`; ``begun`` is what :func:`of_one_camera` tells of the photos."""
+def _in_stages(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float,
+               transfer: color.Transfer | None, resolution: int, reference: Reference, report: Report
+               ) -> CaptureResult:
+    kept, rejected, notes = of_one_camera(photos)
+    check_enough(kept, rejected)
     paper = None if sheet_cm is None else Sheet(sheet_cm).white
-    kept, rejected, notes = begun
-    transfer = transfer or ("linear" if kept[0].linear else "srgb")
+    profiles = {photo.profile.name: photo for photo in kept if photo.profile and not photo.profile.reason}
+    transfer, overruled = used_transfer(transfer or ("linear" if kept[0].linear else "srgb"), profiles)
     fired = {photo.name: str(photo.exif["flash"]) for photo in photos if "flash" in photo.exif}
     qualities: dict[str, PhotoQuality] = {}
     for start in (0, 0.5):
@@ -110,9 +113,6 @@ def _in_stages(photos: Sequence[Photo], begun: tuple[list[Photo], dict[str, str]
         rig = (rig_from_photos(kept, reference, told) if sheet_cm is None
                else rig_from_sheet(kept, sheet_cm, depth_cm, told))
         rectified = Rectified.of(rig, kept, resolution, _within(report, start + 0.3, 0.2))
-        colours = converted({photo.name: photo.profile for photo in kept}, rectified.outside)
-        transfer, overruled = used_transfer(transfer, colours)
-        notes += overruled
         lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
         even, exposed = (lit.shading.evenness, lit.shading.log_exposure) if lit.shading else (None, None)
         found = photo_qualities(lit.pictures, lit.views, transfer, rectified.overlap, even, lit.measured,
@@ -127,19 +127,18 @@ def _in_stages(photos: Sequence[Photo], begun: tuple[list[Photo], dict[str, str]
         if sheet_cm is not None or not misled:
             break
     if bad:
-        colours = converted({photo.name: photo.profile for photo in kept}, rectified.outside)
         rig = replace(rig, poses={photo.name: rig.poses[photo.name] for photo in kept})
         lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
     without_pose = [photo for photo in photos if photo.name in rejected.keys() - qualities.keys()]
     rejected |= blurred(without_pose, rejected, rectified.small.values())
     index = tuple(i for i, photo in enumerate(photos) if photo.name in lit.rig.poses)
+    colours = converted({photo.name: photo.profile for photo in kept}, rectified.outside)
+    notes += [*overruled, *notes_of(colours), *rig.notes, *rectified.notes, *lit.notes]
     capture = Capture(lit.pictures, lit.views, transfer, index, rig.source, photos[0].path.parent,
                       colours=colours, measured=lit.measured)
     return CaptureResult(capture, tuple(photos), replace(lit.rig, rejected=rejected), lit.shading, qualities,
-                         coverage_angle(lit.views, COVERAGE_SIDE),
                          next_best_view(lit.views, list(lit.rig.poses), rig.unit) if capture.calibrated
-                         else None,
-                         (*notes, *notes_of(colours), *rig.notes, *rectified.notes, *lit.notes))
+                         else None, tuple(notes))
 
 
 def _within(report: Report, start: float, length: float) -> Report:

@@ -16,7 +16,7 @@ from torch import Tensor
 from ..io.images import averaged
 from .capture import Capture
 from .photo import Photo
-from .rig import LEAST_PHOTOS
+from .rig import LEAST_PHOTOS, OnePlace
 
 SIDE = 128  # pixels a side that are looked at; in 64, three of 6,384 photos were laid wrong
 FINE = 3.0  # pixels: coarser differences come from the light
@@ -37,6 +37,13 @@ def in_place(photos: Sequence[Photo]) -> bool:
     others = ~np.eye(len(small), dtype=bool)
     told, by_chance = own[..., 0].mean(axis=0, where=others), chance.mean(axis=-1).mean(axis=0, where=others)
     return 2 * int((told > CLEARLY * by_chance).sum()) > len(small)
+
+
+def one_place(count: int) -> OnePlace:
+    """The error to raise for ``count`` photos that are from one place."""
+    return OnePlace("photos from different places",
+                    f"{count} photos that show all in the same place: from a tripod, or rectified already",
+                    "move the phone between photos; `mitsvbrdf fit` takes rectified ones of the patch alone")
 
 
 def laid(photos: Tensor, way: int) -> Tensor:

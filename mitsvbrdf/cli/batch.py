@@ -147,7 +147,6 @@ def _plain(box: str) -> str:
 
 
 def _split(tags: Sequence[str]) -> tuple[str, ...]:
-    """Split each text at its commas into tags."""
     return tuple(dict.fromkeys(word for tag in tags for part in tag.split(",") if (word := part.strip())))
 
 

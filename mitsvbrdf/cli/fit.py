@@ -134,7 +134,6 @@ def _pretrain(picture: Path, out: Path, config: FitConfig, options: FitOptions, 
 
 
 def _explain(task: FitTask, options: FitOptions) -> int:
-    """Say what the fit omits and uses."""
     known, later = explained(task)
     for what, why in known:
         say(f"omitted: {what} ({why})")

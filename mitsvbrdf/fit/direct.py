@@ -10,7 +10,6 @@ from .checkpoint import Held
 from .config import DirectConfig
 from .method import Method, cosine, descend
 from .parameters import streams_of, to_raw, to_svbrdf
-from .start import robust_start
 from .task import FitTask
 
 
@@ -19,12 +18,10 @@ class Direct(Method[DirectConfig]):
 
     def __init__(self, task: FitTask[DirectConfig]) -> None:
         super().__init__(task)
-        config = task.config
-        streams = streams_of(config.bsdf, self.fixed, config.grey_specular)
-        start = robust_start(task.capture, task.guess, config.bsdf, self.fixed)
-        self.raw = {k: v.requires_grad_() for k, v in to_raw(start, streams).items()}
+        streams = streams_of(self.config.bsdf, self.fixed, self.config.grey_specular)
+        self.raw = {k: v.requires_grad_() for k, v in to_raw(task.start(), streams).items()}
         self.edges = losses.edge_weights(task.guess)
-        self.optimizer = torch.optim.Adam(list(self.raw.values()), lr=config.learning_rate)
+        self.optimizer = torch.optim.Adam(list(self.raw.values()), lr=self.config.learning_rate)
 
     def step(self, progress: float) -> dict[str, float]:
         """One Adam step on all photos."""

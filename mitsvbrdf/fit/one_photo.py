@@ -19,7 +19,6 @@ from .hierarchical.sharing import basis_materials
 from .look_classes import CLASSES, LookClasses, Pixels, material
 from .method import Method, cosine
 from .repeats import unlike
-from .start import robust_start
 from .task import FitTask
 
 # Roughness and F0 of starts: LOOKS with the diffuse colours of pixels, METALS with diffuse colour BLACK.
@@ -64,7 +63,7 @@ class OnePhoto(Method[HierarchicalConfig]):
         super().__init__(task)
         self.pixels, told = Pixels.of(task.capture), task.capture.calibrated
         self.held = task.config.holds_views or told and not task.config.refines_views, told
-        self.begun = robust_start(task.capture, task.guess, "roughconductor", task.fixed)
+        self.begun = task.start()
         self.tried = self._starts()
         self.costs, self.done_steps = torch.full((len(self.tried),), WORST), 0
         self._descend_from(self.tried[0])

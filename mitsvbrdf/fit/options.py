@@ -1,6 +1,6 @@
 """Options of a fit beside the settings of its method: photos, how they are read, and the renderer."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from typing import Annotated, Any, Literal
 
 from tyro.conf import arg
@@ -93,9 +93,16 @@ def config_record(config: FitConfig) -> dict:
 
 
 def config_of(record: dict) -> FitConfig:
-    """The settings that a record of :func:`config_record` holds, under their present or former names."""
+    """The settings that a record of :func:`config_record` holds, under their present or former names.
+
+    ConfigError: a method or a setting of a later version.
+    """
     settings: dict[str, Any] = {FORMER.get(name, name): tuple(value) if isinstance(value, list) else value
                                 for name, value in record.items() if name not in ("method", *GONE)}
     if isinstance(settings.get("start"), bool):  # of earlier fits
         settings["start"] = "guess" if settings["start"] else "untrained"
-    return METHODS[record["method"]](**settings)
+    kind = METHODS.get(record["method"])
+    later = settings.keys() - {each.name for each in fields(kind)} if kind else {record["method"]}
+    if kind is None or later:
+        raise ConfigError("settings that this version knows", ", ".join(sorted(later)), "update mitsvbrdf")
+    return kind(**settings)

@@ -13,12 +13,14 @@ from ..calibrate.readings import doubts
 from ..capture import Capture, guess_diffuse
 from ..capture.rectify import filled
 from ..errors import ConfigError
+from ..material.maps import SVBRDF
 from ..render import Renderer
 from . import losses
 from .config import FitConfig, HierarchicalConfig
 from .fixed_maps import fixed_maps
 from .gan_config import GanConfig
 from .repeats import Repeats, repeats
+from .start import robust_start
 
 Config = TypeVar("Config", bound=FitConfig)
 Refined = Literal["never", "unless exact", "always"]
@@ -47,6 +49,10 @@ class FitTask(Generic[Config]):
             return self.own_guess
         return (self.fixed["diffuse"].contiguous() if "diffuse" in self.fixed
                 else guess_diffuse(self.capture, self.config.guess))
+
+    def start(self) -> SVBRDF:
+        """The robust start (:func:`robust_start`), with maps that are held fixed."""
+        return robust_start(self.capture, self.guess, self.config.bsdf, self.fixed)
 
     @cached_property
     def unused(self) -> dict[str, str]:

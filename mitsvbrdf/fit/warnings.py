@@ -47,8 +47,9 @@ def fit_warnings(result: Fit, capture: Capture) -> Iterator[str]:
     yield from about_photos(capture)
     if len(capture) == 1 and "repeats" not in result.record:  # else the sentence on repeats says more
         yield f"one photo: {HARDLY_TOLD}"
-    yield from _light(result, capture)
-    yield from _implausible(result, shown_texels(capture))
+    shown = shown_texels(capture)
+    yield from _light(result, capture, shown)
+    yield from _implausible(result, shown)
     yield from _errors(result, capture)
     yield from _burnt_in(result)
     yield from _cut_short(result)
@@ -96,7 +97,7 @@ def _twice(capture: Capture) -> Iterator[str]:
                        "leave one out with --views, and take another from elsewhere")
 
 
-def _light(result: Fit, capture: Capture) -> Iterator[str]:
+def _light(result: Fit, capture: Capture, shown: Tensor) -> Iterator[str]:
     small = capture.sampled(min(SAMPLED, capture.resolution))
     images = result.known["sample"]
     usable = small.usable & (small.photos > DARK) & (images > 0)
@@ -111,7 +112,7 @@ def _light(result: Fit, capture: Capture) -> Iterator[str]:
     if white > WHITE_SHARE and not WHITENS & set(described(result.config.fix)):
         yield f"{white:.0%} of the diffuse map is as white as can be: the light may be stronger than stated"
     specular, spread = float(material["specular"].median()), result.deviations.get("specular")
-    sure = None if spread is None else of_texels(spread)[shown_texels(capture)] < DETERMINED
+    sure = None if spread is None else of_texels(spread)[shown] < DETERMINED
     if sure is not None and sure.float().mean() > 0.25 and 0 < specular < FAINT:
         yield (f"specular of {specular:.2g} is below that of any known material: the light may be "
                "weaker than stated")

@@ -29,7 +29,6 @@ class Layout:
             self.size += math.prod(shape)
 
     def __getitem__(self, name: str) -> slice:
-        """Where a part lies."""
         return self.slices[name]
 
     def unpack(self, vector: Any) -> SimpleNamespace:

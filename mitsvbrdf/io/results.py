@@ -238,7 +238,8 @@ def _told(expected: str) -> Iterator[None]:
         fixed = reason.errno in (errno.EBUSY, errno.EXDEV)
         way_out = ("choose a folder inside of it, or another one" if fixed
                    else "free space, or choose a folder in a place you may write to")
-        raise OutputError(expected, reason.strerror or str(reason), way_out) from None
+        where = f" ({os.fsdecode(reason.filename)})" if isinstance(reason.filename, (str, bytes)) else ""
+        raise OutputError(expected, f"{reason.strerror or reason}{where}", way_out) from None
 
 
 def _folder_to_disk(path: Path) -> None:

@@ -73,7 +73,6 @@ def _html(title: str, groups: Sequence[tuple[str, list[Picture]]], facts: Sequen
 
 
 def _maps(svbrdf: SVBRDF) -> list[Picture]:
-    """The maps with their ranges."""
     found = []
     for name in CHANNELS[svbrdf.bsdf]:
         value = svbrdf[name].detach()

@@ -97,7 +97,6 @@ class HandheldRenderer:
 
 
 def _shapes(mi: ModuleType, svbrdf: SVBRDF, side: float, sheet: Sheet | None, depth: float) -> dict[str, Any]:
-    """All that is seen, by name."""
     grey = {"type": "diffuse", "reflectance": {"type": "rgb", "value": TABLE_ALBEDO}}
     wide = max(TABLE, 4 * side)
     shapes = {"sample": _rectangle(mi, (0, 0, 0.0), (side / 2, side / 2), _material(mi, svbrdf)),

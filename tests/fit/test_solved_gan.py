@@ -182,13 +182,15 @@ def test_settings_of_the_other_game_begin_at_the_guess(photos):
     assert GanConfig().begins == "solved" and GanConfig(flash_offset=False).begins == "solved"
     assert GanConfig(width=8).begins == "guess" and GanConfig(preset="paper-one-stage").begins == "untrained"
     assert isinstance(make_method(FitTask(photos, ANALYTIC, GanConfig(start="guess"))), Gan)
-    with pytest.raises(ConfigError, match="beside --game"):
-        GanConfig(start="solved", game="bce").check()
-    with pytest.raises(ConfigError, match="--start solved"):
-        GanConfig(start="solved", preset="paper-one-stage").check()
+    for other, said in (({"game": "bce"}, "beside --game"), ({"preset": "paper-one-stage"}, "solved")):
+        with pytest.raises(ConfigError, match=said):
+            GanConfig(start="solved", **other).check()
     former = {"method": "gan", "preset": "minutes"}
     assert [config_of(former | {"start": old}).start for old in (True, False)] == ["guess", "untrained"]
     assert config_of(former | {"start": "guess", "precision": "auto", "average": 0.99}).start == "guess"
+    for later in ({"invented": 1}, {"method": "invented"}):
+        with pytest.raises(ConfigError, match="invented"):
+            config_of(former | later)
 
 
 @pytest.mark.slow

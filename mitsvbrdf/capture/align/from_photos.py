@@ -19,8 +19,8 @@ from ...errors import CaptureError
 from ...io import Report
 from ..lens import Array, Lens, Pose, expected_lens, unsure_note
 from ..photo import Photo
-from ..rig import LEAST_PHOTOS, Rig, check_enough, one_place
-from ..turned import in_place
+from ..rig import LEAST_PHOTOS, Rig, check_enough
+from ..turned import in_place, one_place
 from .features import (
     LEAST_INLIERS,
     REPROJECTION,

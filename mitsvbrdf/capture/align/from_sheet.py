@@ -19,7 +19,8 @@ from ...io import Report
 from ...io.layout import Layout
 from ..lens import Array, Lens, Pose, expected_lens, project, unsure_note
 from ..photo import Photo, Unreadable
-from ..rig import LEAST_PHOTOS, Rig, check_enough, one_place
+from ..rig import LEAST_PHOTOS, Rig, check_enough
+from ..turned import one_place
 from .planar import POSE
 from .sheet import Sheet
 from .tag_edges import POINTS, Edges, find_edges

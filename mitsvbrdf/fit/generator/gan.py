@@ -21,7 +21,6 @@ from ..checkpoint import Held, load_parts, load_tensors, part
 from ..gan_config import GanConfig, Phase
 from ..method import Method, descend
 from ..parameters import Streams, from_units, streams_of
-from ..start import robust_start
 from ..task import FitTask
 from .conditioning import Conditioning, level, with_flash_at
 from .networks import AllPhotosGenerator, PatchDiscriminator, TwoStreamGenerator, frozen, seeded
@@ -36,8 +35,7 @@ class Gan(Method[GanConfig]):
         config = self.config
         self.task = task
         self.streams = streams_of(config.bsdf, self.fixed, config.grey_specular)
-        self.start = (None if config.begins == "untrained" else
-                      robust_start(task.capture, task.guess, config.bsdf, self.fixed))
+        self.start = None if config.begins == "untrained" else task.start()
         self.random = torch.Generator().manual_seed(config.seed)
         # features and maps that later substeps do not change
         self.resting: tuple[Tensor, dict[str, Tensor]] | None = None
@@ -48,7 +46,6 @@ class Gan(Method[GanConfig]):
         self._begin(0, {})
 
     def _rate(self, name: str) -> float:
-        """Adam's present step size."""
         return self.pace * (self.config.discriminator_rate if name == "judge" else self.config.learning_rate)
 
     def _scale(self, phase: Phase, carried: dict[str, Tensor]) -> Conditioning:

@@ -20,7 +20,6 @@ from ..checkpoint import Held
 from ..config import HybridConfig
 from ..method import Method, cosine, descend
 from ..parameters import streams_of, to_raw, to_svbrdf
-from ..start import robust_start
 from ..task import FitTask
 from .conditioning import condition_of, level, with_flash_at
 from .networks import AllPhotosGenerator, PatchDiscriminator, seeded
@@ -37,8 +36,7 @@ class Hybrid(Method[HybridConfig]):
         self.guess = guess
         self.random = torch.Generator().manual_seed(config.seed)
         streams = streams_of(config.bsdf, self.fixed, config.grey_specular)
-        start = robust_start(capture, guess, config.bsdf, self.fixed)
-        self.start = to_raw(start, streams)
+        self.start = to_raw(task.start(), streams)
         self.edges = losses.edge_weights(guess)
         self.condition = condition_of(capture, guess).contiguous(memory_format=torch.channels_last)
         with seeded(config.seed):

@@ -207,7 +207,6 @@ class Hierarchical(Method[HierarchicalConfig]):
         return cost.mean()
 
     def _scoring(self) -> Scoring:
-        """The costs of texels in the present round."""
         photos = self.seen.observations(self.scale, self.answer)
         return Scoring(self.scale, photos, self.prior, self.exact.lobes, self.budget)
 
