@@ -84,7 +84,8 @@ def figure(record: dict) -> Figure:
     names = list(WAYS)
     for r in record["ways"]["rows"]:
         axes.plot(r["per_hour"], names.index(r["way"]), "o", color="C0")
-    axes.set(yticks=range(len(names)), yticklabels=names, xlabel="captures an hour, each turn", xlim=(0, None))
+    axes.set(yticks=range(len(names)), yticklabels=names, xlim=(0, None),
+             xlabel="captures an hour, each turn")
     return drawing
 
 
