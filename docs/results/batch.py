@@ -84,7 +84,7 @@ def figure(record: dict) -> Figure:
     names = list(WAYS)
     for r in record["ways"]["rows"]:
         axes.plot(r["per_hour"], names.index(r["way"]), "o", color="C0")
-    axes.set(yticks=range(len(names)), yticklabels=names, xlim=(0, None),
+    axes.set(yticks=range(len(names)), yticklabels=names, xlim=(0, None), ylim=(-0.5, len(names) - 0.5),
              xlabel="captures an hour, each turn")
     return drawing
 
