@@ -1,8 +1,8 @@
 """Recover the maps of a material from a few flash photos, through a physically based differentiable renderer.
 
 The public names below are loaded on first use: importing the package loads neither torch nor Mitsuba, and
-sets no variant. The first use sets ``OMP_WAIT_POLICY=PASSIVE`` where torch is not loaded and nobody has set
-it. ``__init__.pyi`` beside this file tells type checkers and editors the same names.
+sets no variant. The first use sets ``OMP_WAIT_POLICY=PASSIVE``, if torch is not loaded and the variable is
+not set. ``__init__.pyi`` beside this file has the same names for type checkers and editors.
 """
 
 import importlib

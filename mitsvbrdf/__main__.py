@@ -1,4 +1,4 @@
-"""Entry point: prepares the process, then runs the command line; ``doctor`` works with packages missing."""
+"""Entry point: prepares the process, then runs the command line. ``doctor`` runs with packages missing."""
 
 import os
 import signal
@@ -12,7 +12,7 @@ def main() -> int:
     heard = signal.getsignal(signal.SIGINT) == signal.default_int_handler
     if heard:  # until the command runs, Ctrl-C ends the process at once and without a message
         signal.signal(signal.SIGINT, signal.SIG_DFL)
-    # Idle threads sleep: torch and Dr.Jit have a pool each and take turns. Torch reads this when it loads.
+    # Idle threads sleep: torch and Dr.Jit have a pool each, and compute in turn. Torch reads this on loading.
     os.environ.setdefault("OMP_WAIT_POLICY", "PASSIVE")
     try:
         code = _run(heard)

@@ -1,7 +1,7 @@
 """Responses of cameras (transfer functions), between linear radiance and display values.
 
-Renderers never encode or clip. Photos, files and losses use this module. A new response is a name in
-:data:`Transfer` and its two functions in :data:`RESPONSES`.
+Renderers never encode or clip. Photos, files and losses use this module. A new response needs a name in
+:data:`Transfer` and two functions in :data:`RESPONSES`.
 """
 
 from __future__ import annotations
@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, cast, get_args
 
 from .errors import ConfigError
 
-if TYPE_CHECKING:  # the choices of commands are these names, and need no torch
+if TYPE_CHECKING:  # commands list these names as choices without loading torch
     from torch import Tensor
 
 # A clipped photo value means "at least this bright". There are two thresholds:
-CLIPPED = 0.995  # in fits: residuals are one-sided from this value on, which is 254 and 255 of 8 bits
-NEARLY_CLIPPED = 0.99  # before fits (guess, flash, quality), where omitted texels cost little: 253 too
+CLIPPED = 0.995  # in fits: from this value on (254 and 255 of 8 bits), residuals are one-sided
+NEARLY_CLIPPED = 0.99  # before fits (guess, flash, quality): 253 too, since omitted texels cost little there
 QUANTIZATION_NOISE = 1 / (255 * math.sqrt(12))  # standard deviation of the rounding to 8 bits
 
-# a fit may find a curve that follows the response (:class:`Curve`)
+# A fit may find a curve to apply after the response (:class:`Curve`).
 Transfer = Literal["gamma2.2", "srgb", "linear"]
 CURVE = re.compile(r"[^,]+, gamma (\d+\.\d+), shoulder (-?\d+\.\d+)")
 
@@ -38,7 +38,7 @@ class Operations(NamedTuple):
 
 
 class Response(NamedTuple):
-    """Two inverse functions of a value and :class:`Operations`. Both map 0 to 0 and 1 to 1."""
+    """A function and its inverse, both of a value and :class:`Operations`. Both map 0 to 0 and 1 to 1."""
 
     encode: Callable[[Any, Operations], Any]
     decode: Callable[[Any, Operations], Any]
@@ -69,17 +69,17 @@ def _decode_gamma(display: Any, do: Operations) -> Any:
 
 
 RESPONSES: dict[str, Response] = {
-    "gamma2.2": Response(_encode_gamma, _decode_gamma),  # the field's habit
+    "gamma2.2": Response(_encode_gamma, _decode_gamma),  # usual in SVBRDF research
     "srgb": Response(_encode_srgb, _decode_srgb),  # IEC 61966-2-1
     "linear": Response(_same, _same),
 }
 
 
 class Curve(NamedTuple):
-    """A tone curve of two numbers that a camera applies after its response; 0 stays 0, and 1 stays 1.
+    """A tone curve of two parameters that a camera applies after its response; 0 stays 0, and 1 stays 1.
 
-    It maps u = d^gamma to (1 + shoulder) u / (1 + shoulder u). Above 1, which no photo shows, it follows the
-    tangent at 1. Both numbers may be arrays of Dr.Jit.
+    With u = d^gamma, it maps display values d to (1 + shoulder) u / (1 + shoulder u). Above u = 1, which no
+    photo contains, it is linear in u, with the slope at u = 1. Both parameters may be Dr.Jit arrays.
     """
 
     gamma: Any
@@ -103,7 +103,7 @@ class Curve(NamedTuple):
                         do.at_least(power, low**self.gamma) ** (1 / self.gamma))
 
     def behind(self, transfer: Transfer) -> Transfer:
-        """The response of ``transfer``, followed by this curve: "srgb, gamma 1.0800, shoulder 0.1200"."""
+        """``transfer`` with this curve in place of its own: "srgb, gamma 1.0800, shoulder 0.1200"."""
         return cast(Transfer, f"{parts(transfer)[0]}, gamma {self.gamma:.4f}, shoulder {self.shoulder:.4f}")
 
 

@@ -18,7 +18,7 @@ PACKAGES = {"torch": "torch", "numpy": "numpy", "opencv": "cv2", "OpenEXR": "Ope
             "safetensors": "safetensors", "scipy": "scipy", "matplotlib": "matplotlib", "jinja2": "jinja2",
             "pillow": "PIL", "simplejpeg": "simplejpeg", "imagecodecs": "imagecodecs", "filelock": "filelock",
             "msgspec": "msgspec", "pandas": "pandas", "tyro": "tyro", "rich": "rich"}
-# modules, by the name of the extra that installs them
+# extra -> the module that it installs
 EXTRAS = {"flip": "flip_evaluator", "movie": "av", "heic": "pillow_heif", "raw": "rawpy", "batch": "ray",
           "s3": "s3fs"}
 DISTRIBUTIONS = {"cv2": "opencv-contrib-python-headless", "PIL": "pillow", "flip_evaluator": "flip-evaluator",
@@ -31,8 +31,8 @@ class Row:
 
     name: str  # what was looked at
     value: str  # what was found
-    ok: bool | None = None  # whether it serves; None for plain information
-    fix: str = ""  # the way out, as a line to type where there is one
+    ok: bool | None = None  # whether it suffices; None for plain information
+    fix: str = ""  # what to do, if possible as a line to type
 
 
 def diagnose(variant: str = "llvm_ad_rgb") -> list[Row]:
@@ -85,7 +85,7 @@ def _extra(name: str, module: str) -> Row:
 
 
 def _mitsuba(variant: str) -> list[Row]:
-    """Rows of Mitsuba, Dr.Jit, each libLLVM and the variant. Mitsuba loads only with a proved libLLVM."""
+    """Rows of Mitsuba, Dr.Jit, each libLLVM and the variant. An LLVM variant needs a libLLVM that works."""
     versions = {name: version_of(name) for name in ("mitsuba", "drjit")}
     rows = [Row(name, version, True) if version else Row(name, "not installed", False, "pip install mitsuba")
             for name, version in versions.items()]

@@ -1,7 +1,7 @@
 """The errors of the package. Each says what was expected, what came, and the way out.
 
 Every deliberate error derives from :class:`MitsvbrdfError`. The command line prints it as one message and
-exits with 2. A fault that was corrected is a Python warning, on the command line a line of its own.
+exits with 2. A fault that was corrected is a Python warning, which the command line prints as one line.
 """
 
 import contextlib
@@ -46,7 +46,7 @@ class MapsWarning(InputWarning):
 
 
 class AssumedWarning(UserWarning):
-    """A file leaves open what it holds; the message says what is assumed, and what overrules that."""
+    """A file does not state what it contains; the message says what is assumed, and how to overrule that."""
 
 
 class OutputError(MitsvbrdfError):
@@ -63,7 +63,7 @@ class BackendError(MitsvbrdfError):
 
 @contextlib.contextmanager
 def strict(wanted: bool = True) -> Iterator[None]:
-    """Inside, an :class:`InputWarning` is an error, if wanted."""
+    """Inside, an :class:`InputWarning` becomes a :class:`MitsvbrdfError`, if ``wanted``."""
     with warnings.catch_warnings():
         if wanted:
             warnings.simplefilter("error", InputWarning)
@@ -73,11 +73,11 @@ def strict(wanted: bool = True) -> Iterator[None]:
             raise MitsvbrdfError("files without a fault", str(warning), "or leave --strict out") from None
 
 
-_notes: ContextVar[tuple[list[str], ...]] = ContextVar("_notes", default=())  # of :func:`noted`
+_notes: ContextVar[tuple[list[str], ...]] = ContextVar("_notes", default=())  # one for each :func:`noted`
 
 
 def warn_of(fault: str, path: Path | None = None, stacklevel: int = 2) -> None:
-    """Warn of a fault with an :class:`InputWarning`. It begins with the path, its note with the name."""
+    """Warn of a fault: the :class:`InputWarning` begins with the path, the note with the file's name."""
     for notes in _notes.get():
         notes.append(f"{Path(os.path.abspath(path)).name if path else ''}{fault}")
     warnings.warn(f"{path or ''}{fault}", InputWarning, stacklevel=stacklevel + 1)
@@ -85,7 +85,7 @@ def warn_of(fault: str, path: Path | None = None, stacklevel: int = 2) -> None:
 
 @contextlib.contextmanager
 def noted() -> Iterator[list[str]]:
-    """Inside, each fault that this thread warns of is kept as a note, with the file's name for its path."""
+    """A list. Inside, each :func:`warn_of` of this thread adds a note: the file's name and the fault."""
     notes: list[str] = []
     token = _notes.set((*_notes.get(), notes))
     try:
@@ -96,7 +96,7 @@ def noted() -> Iterator[list[str]]:
 
 @contextlib.contextmanager
 def plain_warnings() -> Iterator[None]:
-    """Inside, a warning of this package is one line on standard error, printed once, without file or line."""
+    """Inside, each warning of this package is printed once: one line on standard error, no file or line."""
     said = set()
     with warnings.catch_warnings():
         others = warnings.showwarning
@@ -115,7 +115,7 @@ def plain_warnings() -> Iterator[None]:
 
 
 def exit_code(command: Callable[[], int], interrupted: str = "interrupted") -> int:
-    """Run a command; mistakes and Ctrl-C become one line and an exit code, 2 and 130."""
+    """Run a command. A mistake prints one line and returns exit code 2; Ctrl-C prints one and returns 130."""
     try:
         return command()
     except (Exception, KeyboardInterrupt) as error:
@@ -129,7 +129,7 @@ def exit_code(command: Callable[[], int], interrupted: str = "interrupted") -> i
 
 
 def _said(error: BaseException) -> str | None:
-    """What to say of a mistake the user can mend; None for a fault of our own."""
+    """The message of a mistake that the user can correct; None for a fault of the package."""
     if isinstance(error, MitsvbrdfError):
         return str(error)
     if isinstance(error, UnicodeEncodeError) and error.reason == "surrogates not allowed":
@@ -146,9 +146,9 @@ def _said(error: BaseException) -> str | None:
 
 
 def _is_of_ctrl_c(error: BaseException | None) -> bool:
-    """Whether an error is, or was, KeyboardInterrupt: Dr.Jit makes it a RuntimeError, CPython a SystemError.
+    """Whether Ctrl-C caused an error: Dr.Jit makes KeyboardInterrupt a RuntimeError, CPython a SystemError.
 
-    Mitsuba keeps only the text of an error in a plugin's ``__init__``.
+    Of an error in a plugin's ``__init__``, Mitsuba keeps only the text.
     """
     while not (error is None or isinstance(error, KeyboardInterrupt) or "KeyboardInterrupt" in str(error)):
         error = error.__cause__ or error.__context__

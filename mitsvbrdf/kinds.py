@@ -1,4 +1,4 @@
-"""The edge of the Python API refuses arguments whose type does not match their annotation."""
+"""Checks of the Python API: ConfigError for arguments whose type does not match their annotation."""
 
 import functools
 import inspect
@@ -52,7 +52,7 @@ def _check(owner: Any, values: Iterable[tuple[str, object]]) -> None:
 
 @functools.cache
 def _about(owner: Any) -> tuple[dict[str, Any], tuple[str, ...]]:
-    """Annotations by name (none where one names what only a type checker knows), and positional names."""
+    """Annotations (a dict, argument to type; empty if only type checkers know one), and positional names."""
     try:
         hints = get_type_hints(owner)
     except NameError:

@@ -1,7 +1,7 @@
-"""Views: places of camera and light, and the intensity of the light.
+"""Views: positions of camera and light, and the intensity of the light.
 
-Conventions (docs/conventions.md): the patch lies in z = 0, x right, y up, centre at the origin, and spans
-``size``. Camera and light are at z > 0. All lengths have one unit.
+Conventions (docs/conventions.md): the patch is a square of side ``size`` in the plane z = 0, x right, y up,
+with its centre at the origin. Camera and light are at z > 0. All lengths have one unit.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ FIELD_OF_VIEW = 60.0  # degrees across the long side, if EXIF states none; phone
 
 Falloff = Literal["inverse-square", "none"]
 
-# The range of float32 and of a traced ray, in patch sides. A size in another unit is the likely cause of
-# larger values. At 1e12 for I / d^2 the steepest highlight (alpha 1e-4) and its gradients stay below 1e30.
+# Distances, in patch sides, that float32 and traced rays can represent. Larger ones probably mean a size in
+# another unit. At I / d^2 = 1e12 the steepest highlight (alpha 1e-4) and its gradients stay below 1e30.
 NEAREST, FARTHEST = 1e-3, 1e6
 BRIGHTEST = 1e12
 
@@ -50,12 +50,12 @@ class Views:
         light: N x 3, float, positions with z > 0.
         intensity: N x 3, float, radiant intensity I of each light (rgb); irradiance is I cos / d^2.
         size: side of the patch, in the unit of the positions.
-        falloff: ``inverse-square``, or ``none`` for the paper's light without attenuation. The irradiance
-            factor is then that of the patch centre everywhere, I / |light|^2.
+        falloff: ``inverse-square``, or ``none`` for the paper's light without attenuation. With ``none``, the
+            irradiance factor is I / |light|^2 everywhere, that of the patch centre.
 
     Raises:
-        CaptureError: other shapes, or no view. :meth:`check` checks the values.
-        ConfigError: another falloff.
+        CaptureError: wrong shapes, or no view. :meth:`check` checks the values.
+        ConfigError: unknown falloff.
     """
 
     camera: Tensor
@@ -84,15 +84,15 @@ class Views:
     @classmethod
     def of(cls, camera: Any, light: Any = None, intensity: Any = 1.0, size: float = 1.0,
            falloff: Falloff = "inverse-square") -> Views:
-        """Views from lists, arrays or tensors, checked: finite, z > 0, intensity >= 0 and not all black.
+        """Views from lists, arrays or tensors, checked: finite, z > 0, intensity >= 0 and no light black.
 
         Args:
             camera: N x 3.
             light: N x 3. Default: at the camera.
-            intensity: a number, 3 numbers, N x 3, or N x 1 of white lights.
+            intensity: a number, 3 numbers, N x 3, or N x 1 for white lights.
 
         Raises:
-            CaptureError: other shapes, or a value that :meth:`check` refuses; it names the first wrong row.
+            CaptureError: wrong shapes, or wrong values (:meth:`check`); it names the first wrong row.
         """
         try:
             camera, light, power = (torch.as_tensor(camera if values is None else values, dtype=torch.float64)
@@ -111,8 +111,8 @@ class Views:
     def check(self) -> None:
         """Raise CaptureError unless every number is finite and physically possible.
 
-        Cameras and lights stand at least :data:`NEAREST` patch sides above the plane. No coordinate exceeds
-        :data:`FARTHEST` sides. The I / d^2 of a light at the nearest point of the patch is at most
+        Cameras and lights are at least :data:`NEAREST` patch sides above the plane. No coordinate exceeds
+        :data:`FARTHEST` sides. At the patch point nearest to a light, its I / d^2 is at most
         :data:`BRIGHTEST`.
         """
         if not (self.size > 0 and torch.isfinite(torch.tensor(self.size))):
@@ -145,7 +145,7 @@ class Views:
                                "check light_pow and the patch size")
 
     def check_finite(self) -> None:
-        """Raise NotFiniteError, naming the row, unless every number is finite."""
+        """Raise NotFiniteError if a number is NaN or infinite; the message has its row."""
         what_of = {"camera": "positions", "light": "positions", "intensity": "light intensities"}
         for name, what in what_of.items():
             for row, numbers in enumerate(getattr(self, name).tolist()):
@@ -173,10 +173,10 @@ class Views:
         return replace(moved, intensity=self.intensity * nearer[:, None])
 
     def pick(self, index: Sequence[int] | Tensor) -> Views:
-        """The views at these positions, in this order.
+        """The views with these numbers (from 0), in this order.
 
         Raises:
-            CaptureError: no position, or one that does not exist or is no whole number.
+            CaptureError: no number, or one that does not exist or is no whole number.
         """
         rows = whole_numbers(index)
         if not rows or min(rows) < 0 or max(rows) >= len(self):
@@ -206,7 +206,7 @@ def shift_lights(views: Views, flash_offset: tuple[float, float] | None) -> View
 def texel_positions(resolution: int, dtype: torch.dtype = torch.float64, rows: slice = ALL) -> Tensor:
     """Centres of the texels of an R x R map on a patch of side 1: R x R x 3, row 0 at the top, z = 0.
 
-    ``rows``: the rows of the map to give; default: all.
+    ``rows``: the rows of the map to return; default: all.
     """
     step = (torch.arange(resolution, dtype=dtype) + 0.5) / resolution - 0.5
     y, x = torch.meshgrid(-step[rows], step, indexing="ij")
@@ -214,7 +214,7 @@ def texel_positions(resolution: int, dtype: torch.dtype = torch.float64, rows: s
 
 
 def strips(resolution: int) -> list[slice]:
-    """Slices of the rows of an R x R map, of at most :data:`STRIP` texels each: memory stays small."""
+    """Slices of the rows of an R x R map, each of one row or at most :data:`STRIP` texels, to save memory."""
     rows = max(1, STRIP // resolution)
     return [slice(first, min(first + rows, resolution)) for first in range(0, resolution, rows)]
 
@@ -253,7 +253,7 @@ def default_views(count: int, field_of_view: float = FIELD_OF_VIEW, share: float
         share: the patch side as a share of that long side.
 
     Returns:
-        Equal views with the patch side as unit. A white diffuse texel at the patch centre has radiance 1.
+        ``count`` equal views, in patch sides. A white diffuse texel at the patch centre has radiance 1.
     """
     distance = 0.5 / (share * math.tan(math.radians(field_of_view) / 2))
     return Views.of([[0.0, 0.0, distance]] * count, intensity=math.pi * distance**2)
@@ -262,7 +262,7 @@ def default_views(count: int, field_of_view: float = FIELD_OF_VIEW, share: float
 def geometry(views: Views, resolution: int, rows: slice = ALL) -> tuple[Tensor, Tensor, Tensor]:
     """Unit vectors to the light, half vectors and irradiance at flat texels: N x R x R x 3 each, float32.
 
-    ``rows``: the rows of the map to give; default: all.
+    ``rows``: the rows of the map to return; default: all.
     """
     views, texels = views.in_patch_sides(), texel_positions(resolution, rows=rows)
     light, camera = (x[:, None, None] - texels for x in (views.light, views.camera))

@@ -1,4 +1,4 @@
-"""What is asked of each capture, the identity of its result, and the work that is left."""
+"""The options of each capture, the identity of its result (a hash), and the captures left to fit."""
 
 import hashlib
 import json
@@ -25,8 +25,8 @@ from .records import Material
 from .stores import Store, is_url
 
 CALIBRATION_FILES = ("capture.json", "camera_pos.txt", "image_size.txt", "light_power.txt", "light_pos.txt")
-PATIENCE = 3600.0  # seconds on top of the budget: for a large capture on a machine ten times slower than ours
-BUDGETS = 3.0  # budgets allowed: a fit looks at the clock only between steps, and the last step may be long
+PATIENCE = 3600.0  # seconds on top of the budgets: enough for a large capture on a machine ten times slower
+BUDGETS = 3.0  # budgets a fit may take: it checks the clock only between steps, and the last may be long
 
 
 @dataclass(frozen=True)
@@ -37,20 +37,20 @@ class Asked:
     config: FitConfig  # method and settings
     options: FitOptions  # all other options of the fit
     pages: bool  # whether its page and pictures are written
-    tags: tuple[str, ...]  # words to find it by
-    sheet: float | None = None  # size in cm of the printed sheet in raw photos; None where there is none
+    tags: tuple[str, ...]  # words for a search in the library
+    sheet: float | None = None  # size in cm of the printed sheet in raw photos; None: no sheet
     strict: bool = False  # whether damaged photos are refused
 
     @property
     def record(self) -> dict:
-        """What a worker is told; a part of the identity. A calibrated capture has no sheet."""
+        """The settings for a worker; the identity covers them. A calibrated capture has no sheet."""
         sheet = None if self.sheet is None or is_calibrated(self.entry.source) else self.sheet
         return {"config": config_record(self.config), "options": asdict(self.options), "pages": self.pages,
                 "sheet": sheet, "strict": self.strict}
 
     @property
     def identity(self) -> str:
-        """SHA-256, in hex, of photos, calibration, options, files that options name, and version."""
+        """SHA-256, in hex, of photos, calibration, options, files named in the options, and version."""
         source = self.entry.source
         if is_url(source):
             contents: list[list] = Store(source).contents()
@@ -64,7 +64,7 @@ class Asked:
 
     @property
     def words(self) -> str:
-        """The options that are not the defaults: ``resolution=512, seed=3``; without tags."""
+        """The options that differ from the defaults, without tags: ``resolution=512, seed=3``."""
         preset: Any = {"preset": found} if (found := getattr(self.config, "preset", None)) else {}
         usual = Asked(self.entry, type(self.config)(**preset), FitOptions(), True, ()).record
         known = usual | usual["config"] | usual["options"] | {"method": next(iter(METHODS)), "preset": None}
@@ -74,7 +74,7 @@ class Asked:
 
     @property
     def cost(self) -> float:
-        """Guessed seconds: the longest fit starts first. For the default method, 4 s a photo of 256 px."""
+        """Guessed seconds; the longest fit starts first. Default method: 4 s a photo of 256 px."""
         budget, photos = self.config.limited(self.options.resolution).budget or PATIENCE, 9
         if not isinstance(self.config, HierarchicalConfig):
             return budget
@@ -90,7 +90,7 @@ class Asked:
 
 
 def capture_files(source: Path) -> list[Path]:
-    """The files that a capture is read from: calibration and photos, by name."""
+    """The files that a capture is read from: calibration and photos, sorted by path."""
     folder = source.parent if source.is_file() else source
     folders = {folder}
     stated = source if source.is_file() else folder / "capture.json"
@@ -106,24 +106,24 @@ def capture_files(source: Path) -> list[Path]:
 
 @dataclass
 class Stock:
-    """What a library has of what is asked for."""
+    """Which of the captures asked for have a result in a library, and which are left to fit."""
 
-    work: list[Material] = field(default_factory=list)  # what is left to do
-    done: int = 0  # how many results were found whole
+    work: list[Material] = field(default_factory=list)  # what is left to fit
+    done: int = 0  # how many have a complete result
     failed: int = 0  # how many failed before and are not tried again
-    unreadable: int = 0  # how many have photos, or a name, that cannot be read
-    notes: list[str] = field(default_factory=list)  # lines about what is passed over, or done anew
+    unreadable: int = 0  # how many cannot be read, or have a path that is not UTF-8
+    notes: list[str] = field(default_factory=list)  # lines about what is skipped or fitted again
 
 
 def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
                report: Report = lambda text, share: None) -> Stock:
-    """Compare what is asked for with the folders of a library that this process has locked; update it.
+    """Compare the captures asked for with a library, which this process has locked; update the library.
 
     A capture that is named twice with the same options counts once, with the tags of both.
     """
     stock, results, known = Stock(), library.results, library.materials
     names, shown = set(results.names()), library.shown()
-    wanted: dict[str, Material] = {}  # by identity
+    wanted: dict[str, Material] = {}  # identity to material
     for material in _materials(list(asked), report):
         if isinstance(material, OutputError):
             stock.unreadable += 1
@@ -144,7 +144,7 @@ def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
             wrong = results.damage(there, hashes=False) if there else "its record is missing"
             if there and not wrong:
                 stock.done += 1
-                # it gets the present source and tags of its capture, and becomes the newest
+                # the result gets the present source and tags of its capture, and the newest date
                 if (there.source, there.tags) != (material.source, material.tags) or folder not in shown:
                     there = there.but(source=material.source, tags=material.tags, date=now())
                     results.restate(there)
@@ -161,7 +161,7 @@ def take_stock(asked: Iterable[Asked], library: Library, retry_failed: bool,
 
 
 def _materials(asked: list[Asked], report: Report) -> Iterator[Material | OutputError]:
-    """What a library keeps of each capture, or why it cannot be read."""
+    """The record of each capture for a library, or the error if the capture cannot be read."""
     with ThreadPoolExecutor() as pool:
         for number, (each, found) in enumerate(zip(asked, pool.map(_material, asked))):
             report(os.path.basename(each.entry.source), number / len(asked))
@@ -175,6 +175,6 @@ def _material(asked: Asked) -> Material | OutputError:
         return Material(identity=asked.identity, name=name_of(source), source=source, asked=asked.record,
                         words=asked.words, tags=list(asked.tags), date=now(),
                         base=asked.entry.base or os.getcwd(), cost=asked.cost, limit=asked.limit)
-    except (OSError, UnicodeEncodeError) as error:  # no record can state such a name
+    except (OSError, UnicodeEncodeError) as error:  # a record cannot contain a name outside UTF-8
         return OutputError("a capture that can be read, with a name in UTF-8", f"{source!r}: {error}",
                            "check your rights to it, and its name")

@@ -1,4 +1,4 @@
-"""The captures of a batch: named by folders, URLs and lists, each with its own options."""
+"""Find the captures of a batch in folders, URLs and lists; each may have options of its own."""
 
 import contextlib
 import os
@@ -16,7 +16,7 @@ from .stores import Store, is_url
 
 TOKEN = ".token"  # the file that marks a library
 CALIBRATIONS = ("capture.json", "camera_pos.txt")
-SIDE = 1024  # pixels a side of the photos that are rectified here
+SIDE = 1024  # pixels a side of photos rectified here, at most; or the resolution of the fit, if that is more
 
 
 class Entry(NamedTuple):
@@ -25,12 +25,12 @@ class Entry(NamedTuple):
     source: str  # its absolute path, or its URL
     own: tuple[str, ...] = ()  # options on its line of a list, split into words
     where: str = ""  # list and line, for errors; empty for a name on the command line
-    base: str = ""  # the folder where paths in the options start; empty: the current one
+    base: str = ""  # paths in the options are relative to this folder; empty: to the current one
 
 
 @contextlib.contextmanager
 def told_with(where: str) -> Iterator[None]:
-    """Inside the block, add this place to each error that does not name it."""
+    """Add ``where`` to the text of each error that is raised inside the block, unless it has it."""
     try:
         yield
     except MitsvbrdfError as error:
@@ -40,13 +40,13 @@ def told_with(where: str) -> Iterator[None]:
 
 
 def captures(names: Sequence[str]) -> list[Entry]:
-    """The captures that names stand for, in the order of the names.
+    """The captures found under these names, in the order of the names.
 
-    A name is a capture (a folder, its JSON file, or a URL), a folder of captures, or a list: a text file that
-    has one of these on each line, then options. ``#`` begins a remark. A library among captures is skipped.
+    A name is a capture (a folder, its JSON file, or a URL), a folder of captures, or a list: a text file
+    with a capture or folder of captures a line, then options. ``#`` begins a remark. Libraries are skipped.
 
     Raises:
-        CaptureError: a name stands for nothing, or there is no capture at all.
+        CaptureError: nothing is found under a name, or there is no capture at all.
     """
     found = [entry for name in names for entry in _expanded(name)]
     if not found:
@@ -55,7 +55,7 @@ def captures(names: Sequence[str]) -> list[Entry]:
 
 
 def name_of(source: str) -> str:
-    """What a capture is called: its folder's name in letters that every file system has."""
+    """The name of a capture's folder; ``_`` replaces all but ASCII letters, digits, ``.``, ``_``, ``-``."""
     path = source.split("://", 1)[-1].rstrip("/")
     name = os.path.basename(os.path.dirname(path) if path.endswith(".json") else path)
     kept = "".join(c if c.isascii() and (c.isalnum() or c in "._-") else "_" for c in name)
@@ -89,10 +89,10 @@ def local_capture(source: str) -> Iterator[Path]:
 
 def rectified(folder: Path, out: Path, sheet: float | None, transfer: Transfer | None,
               resolution: int) -> Path:
-    """The capture to fit. Raw photos become a capture in ``out``, with its page; any other stays as it is.
+    """Rectify raw photos into a capture in ``out``, with its page; return the folder of the capture to fit.
 
-    The photos of ``out`` have at most :data:`SIDE` pixels a side, or ``resolution`` if that is more. A
-    transfer of None: as the photos state. CaptureError: the raw photos cannot become a capture.
+    Rectified photos stay where they are. The photos of ``out`` have at most :data:`SIDE` pixels a side, or
+    ``resolution`` if that is more. ``transfer`` None: as in the photos. CaptureError: no poses can be found.
     """
     from ..capture import write_capture
     from ..capture.align.from_sheet import refuse_tags
@@ -160,11 +160,11 @@ def _capture_at(folder: Path) -> Path | None:
     try:
         return folder if is_capture(os.listdir(folder)) else stated_in(folder)
     except PermissionError:
-        return folder  # the batch then says so of this capture, and goes on with the others
+        return folder  # the batch then reports this capture as failed, and goes on with the others
 
 
 def _behind(url: str) -> list[str]:
-    """The captures that a URL stands for: itself, or those right inside it."""
+    """The URL itself if it is a capture, else the URLs of the captures directly inside it."""
     store = Store(url.removesuffix("/capture.json"))
     with contextlib.suppress(FileNotFoundError), store.reached():
         names, folders = store.listed()
@@ -177,7 +177,7 @@ def _behind(url: str) -> list[str]:
 
 
 def _listed(path: Path) -> Iterator[Entry]:
-    """The entries of a list; a relative path starts where the list lies."""
+    """The entries of a list file. A relative path starts in the folder of the list."""
     try:
         lines = path.read_text("utf-8-sig").splitlines()
     except (OSError, ValueError) as reason:

@@ -1,7 +1,7 @@
-// The page of a library. Of thousands of materials only those near the window are in the page, each in its place. What is shown
-// follows from the address's hash: q (the text), state, sort, down.
+// The page of a library. There may be thousands of materials: only the cards near the window are in the page. The hash of the
+// address states what is shown: q (the search text), state, sort, down.
 
-const EVERY = 5000;  // ms between two looks at the data of a batch that is at work
+const EVERY = 5000;  // ms between two loads of the data while a batch runs
 const GAP = 12, LEAST = 160, BELOW = 84;  // pixels: between cards, the least side of a picture, text below it
 const $ = (id) => document.getElementById(id);
 const view = { q: "", state: "", sort: "name", down: "" };
@@ -60,7 +60,7 @@ function look() {
   document.head.append(script);
 }
 
-// All that is searched, made at the first search.
+// The text of a row that is searched, made at the first search.
 function wordsOf(row) {
   return row.found ??= SEARCHED.map((name) => [row[name]].flat().join(" ")).join("\n").toLowerCase();
 }

@@ -1,4 +1,4 @@
-"""One capture fitted in a warm worker of Ray, and its result put into the library."""
+"""Fit one capture in a warm worker of Ray, and put the result into the library."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from ..render import Renderer
 
 GIB = 1 << 30
-LOG_CHARACTERS = 20_000  # of what a fit printed, kept where it fails
-LOOK_SECONDS = 0.2  # between two looks at memory
+LOG_CHARACTERS = 20_000  # the last ones of a fit's output, kept if the fit fails
+LOOK_SECONDS = 0.2  # between two checks of the memory in use
 HELD = "killed when it held"  # what a worker prints before it kills itself
 
 SIDE = 192  # pixels a side of a preview, at most
@@ -42,10 +42,10 @@ QUALITY = 85
 def fit_task(task: dict) -> Iterator[dict]:
     """Fit one capture; a task of Ray.
 
-    Once the worker is warm, it yields who fits: ``host``, ``version``, and ``token`` of the library as seen
-    here. Then it yields the outcome: ``state`` (done, failed, or full if no space is left), ``reason``, and
-    ``log``, the tail of the output of the fit. A worker that sees another library, or has another version,
-    does not fit. :meth:`.run.Batch._hand_out` makes the task.
+    Once the worker is warm, it yields its ``host``, its ``version``, and the ``token`` that it reads in the
+    library. Then it yields the outcome: ``state`` (done, failed, or full if no space is left), ``reason``,
+    and ``log``, the end of the fit's output. A worker with another version, or with another library at this
+    address, does not fit. :meth:`.run.Batch._hand_out` makes ``task``.
     """
     results = ResultStore(task["library"])
     _warm(task["threads"])
@@ -65,7 +65,7 @@ def fit_task(task: dict) -> Iterator[dict]:
 
 
 def _outcome(results: ResultStore, material: Material, attempt: str) -> dict:
-    """Fit into the library; return how it ended, and the error if there was one."""
+    """Fit into the library; return ``state`` (done, failed or full) and ``reason``, the error or empty."""
     started = time.perf_counter()
     try:
         with contextlib.suppress(OSError):  # paths in the options start there
@@ -80,14 +80,14 @@ def _outcome(results: ResultStore, material: Material, attempt: str) -> dict:
         full = isinstance(cause := reason.__context__, OSError) and cause.errno in NO_SPACE
         return {"state": "full" if full else "failed", "reason": str(reason)}
     except Exception as reason:
-        with contextlib.suppress(OSError):  # the log may lie on a full disk
+        with contextlib.suppress(OSError):  # the log may be on a full disk
             traceback.print_exc()
         full = isinstance(reason, OSError) and reason.errno in NO_SPACE
         return {"state": "full" if full else "failed", "reason": f"{type(reason).__name__}: {reason}"}
 
 
 def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
-    """Fit a capture as asked (``Asked.record``) and write the result, pages and preview; return its row."""
+    """Fit a capture with settings as in ``Asked.record``; write the result; return its row of the list."""
     from ..capture import read_capture
     from ..fit import fit_svbrdf
     from ..fit.generator.detail import with_detail
@@ -100,7 +100,7 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
         made = rectified(capture, out / "capture", asked["sheet"], transfer, options.resolution)
         photos = read_capture(made, options.resolution, transfer=transfer if made == capture else None,
                               falloff=options.light(config))
-    photos = photos.but(source=photos.source if made == capture else capture,  # what it is called
+    photos = photos.but(source=photos.source if made == capture else capture,  # the name comes from it
                         notes=tuple(dict.fromkeys((*faults, *photos.notes))))
     shots, shown = options.chosen(photos)
     engine = _renderer(options.renderer, options.variant)
@@ -113,7 +113,7 @@ def fit_capture(capture: Path, out: Path, asked: dict) -> Row:
 
 
 def _row(folder: Path, faults: list[str]) -> Row:
-    """The row of a fit in the list of materials; ``faults`` of its photos are among the warnings."""
+    """The row of a fit in the list of materials. Its warnings begin with ``faults``, those of its photos."""
     from ..fit.record import record_in
     from ..io.json import load
 
@@ -126,7 +126,7 @@ def _row(folder: Path, faults: list[str]) -> Row:
 
 
 def write_preview(path: Path, fit: Fit) -> None:
-    """Write a JPEG of the fit as the first photo shows the material."""
+    """Write a JPEG of the fitted material in the view of the first photo."""
     import cv2
     import torch
 
@@ -145,7 +145,7 @@ def write_preview(path: Path, fit: Fit) -> None:
 
 
 def now() -> str:
-    """The time as a library has it: UTC, to the second."""
+    """The time in the format of a library: UTC, to the second."""
     return datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
@@ -171,7 +171,7 @@ def _renderer(name: str, variant: str) -> Renderer:
 
 @contextlib.contextmanager
 def _printed(results: ResultStore, attempt: str) -> Iterator[Path]:
-    """Inside the block, all output goes to a file (its path), which in a library folder survives a crash."""
+    """Send all output of the block to a file; yield its path. In a local library it survives a crash."""
     with tempfile.TemporaryDirectory(prefix="mitsvbrdf-log-") as folder:
         path = log_path(results, attempt) or Path(folder) / "log"
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -179,7 +179,7 @@ def _printed(results: ResultStore, attempt: str) -> Iterator[Path]:
         with path.open("wb") as log:
             for number in (1, 2):
                 os.dup2(log.fileno(), number)
-        faulthandler.enable(2)  # a crash says where
+        faulthandler.enable(2)  # a crash prints its traceback
         try:
             yield path
         finally:
@@ -191,20 +191,20 @@ def _printed(results: ResultStore, attempt: str) -> Iterator[Path]:
 
 
 def _flush() -> None:
-    """Write what was printed. A full disk takes words of the log, but does not fail the fit."""
+    """Flush the output. If the disk is full, a part of the log is lost, but the fit does not fail."""
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(OSError):
             stream.flush()
 
 
 def log_path(results: ResultStore, attempt: str) -> Path | None:
-    """The log file of an attempt. None if the library is no folder: the output of a dying worker is lost."""
+    """The log file of an attempt; None in an object store, where the output of a dying worker is lost."""
     return Path(results.store.path(f"{WORK}/{attempt}.log")) if results.store.folder else None
 
 
 @contextlib.contextmanager
 def _memory_limit(gib: float | None) -> Iterator[None]:
-    """Inside the block, this process kills itself once it holds more memory than this."""
+    """Inside the block, this process kills itself if it uses more memory than ``gib`` GiB; None: no limit."""
     done = threading.Event()
 
     def watch() -> None:

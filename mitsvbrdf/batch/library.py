@@ -1,4 +1,4 @@
-"""What a library holds: rows for pandas and for the page, read from its folders."""
+"""The list of a library's materials, read from its folders: rows for pandas and for the page."""
 
 import json
 import secrets
@@ -15,7 +15,7 @@ from .results import FAILED, LOG, PAGES, ResultStore
 INDEX, DATA, PAGE = PAGES
 STATES = "done", "failed", "running", "pending"
 GLOBAL = "mitsvbrdfLibrary"  # the variable that the data script of the page sets
-FILES = {"preview": "preview.jpg", "report": "report.html", "log": LOG}  # what the page shows
+FILES = {"preview": "preview.jpg", "report": "report.html", "log": LOG}  # files shown or linked on the page
 SEARCHED = "name", "tags", "source", "method", "host", "options", "reason"
 SORTS = {"name": "Name", "error": "Error", "held_out_error": "Held-out error", "burn_in": "Burn-in",
          "seconds": "Seconds", "attempts": "Attempts", "date": "Date"}
@@ -27,10 +27,10 @@ class Library:
     def __init__(self, results: ResultStore) -> None:
         self.results, self.materials = results, results.materials()
         self._failed = set(results.store.listed(FAILED)[1])
-        self.running = set[str]()  # folders of what is fitted now
+        self.running = set[str]()  # folders of the materials being fitted
 
     def done(self, result: Material) -> None:
-        """Note that a result lies in the library."""
+        """Note that a result is in the library; an earlier failure is forgotten."""
         if result.folder in self._failed:
             self.results.forget(result.folder)
         self.materials[result.folder] = result
@@ -43,7 +43,7 @@ class Library:
         self._failed.add(failure.folder)
 
     def shown(self) -> dict[str, Material]:
-        """The newest material of each capture and options."""
+        """A dict: folder to material; of materials with the same capture and options only the newest."""
         newest: dict[tuple[str, str], Material] = {}
         # a pending material is newer than all others
         for each in sorted(self.materials.values(), key=lambda each: (each.state == "pending", each.date)):
@@ -51,17 +51,17 @@ class Library:
         return {each.folder: each for each in newest.values()}
 
     def counts(self) -> Counter[str]:
-        """How many are in each state."""
+        """How many of the materials of :meth:`shown` are in each state."""
         return Counter(each.state for each in self.shown().values())
 
     def rows(self, replaced: bool = False) -> list[dict]:
-        """A row for each material, as in ``library.json``, by name. ``replaced``: only replaced materials."""
+        """Rows as in ``library.json``, sorted by folder: of the newest materials, or of the replaced ones."""
         shown = self.shown()
         found = (each for folder, each in self.materials.items() if (folder not in shown) == replaced)
         return [self.row(each) for each in sorted(found, key=lambda each: each.folder.lower())]
 
     def row(self, material: Material) -> dict:
-        """What is known of a material; paths are below the library."""
+        """The row of a material; its paths are relative to the library."""
         folder = f"{FAILED}/{material.folder}" if material.state == "failed" else material.folder
         config, options = (found if isinstance(found := material.asked.get(name), dict) else {}
                            for name in ("config", "options"))
@@ -75,7 +75,7 @@ class Library:
                 **{name: f"{folder}/{file}" if file in there else None for name, file in FILES.items()}}
 
     def write(self, progress: str = "") -> None:
-        """Write ``library.json``, for pandas and others, and the page. ``progress``: of a batch, in words."""
+        """Write the page, and ``library.json`` for pandas and others. ``progress``: of a batch, in words."""
         write = self.results.store.write
         told = {"title": self.results.title, "made": now(), "version": __version__, "progress": progress,
                 "materials": self.rows()}
@@ -85,7 +85,7 @@ class Library:
 
 
 def library_page(title: str) -> str:
-    """The page without its data; it opens from disk and asks for nothing outside of its folder."""
+    """The page without its data, as HTML. It opens from disk and loads nothing from outside its folder."""
     return page_text("batch/library.html", title=title, nonce=secrets.token_urlsafe(16), sorts=SORTS,
                      states=STATES, data=DATA, searched=json.dumps(SEARCHED))
 
@@ -100,7 +100,7 @@ def data_script(told: dict) -> str:
 
 
 def matches(row: dict, text: str) -> bool:
-    """Whether a row contains a text, in any case."""
+    """Whether one of the searched columns of a row contains a text; case does not count."""
     words = (" ".join(value) if isinstance(value, list) else str(value or "")
              for value in (row[name] for name in SEARCHED))
     return any(text.casefold() in word.casefold() for word in words)

@@ -1,7 +1,7 @@
 """The library of a batch: a folder, or an object store, in which each result appears whole or not at all.
 
-A result is one folder, NAME-1a2b3c4d, named by its capture and the beginning of its identity. ``failed/``
-holds the reason why a capture has no result.
+A result is one folder, NAME-1a2b3c4d: the name of its capture, and the beginning of its identity, a hash of
+photos and options. ``failed/`` has a folder for each capture that failed, with the reason.
 """
 
 import contextlib
@@ -25,28 +25,28 @@ from .captures import TOKEN, is_capture
 from .records import SHORT, File, Material
 from .stores import Store, is_url
 
-RECORD = "batch.json"  # of a result: its capture and options, size and hash of its files
-REASON, LOG = "reason.json", "log.txt"  # of a failed capture
+RECORD = "batch.json"  # in a result: its capture and options, size and hash of its files
+REASON, LOG = "reason.json", "log.txt"  # in the folder of a failed capture
 FAILED = "failed"
 PAGES = "library.json", "library.js", "index.html"
 LOCK, WORK = ".lock", ".work"  # the lock of a library, and the folder of unfinished results
-MARK = ".begun"  # in a folder of :meth:`ResultStore.building`, until the folder is published or taken away
+MARK = ".begun"  # a file in a folder of :meth:`ResultStore.building`, until that is published or removed
 RESULT = re.compile(rf".+-[0-9a-f]{{{SHORT}}}")
 NO_SPACE = errno.ENOSPC, errno.EDQUOT
 
 
 class ResultStore:
-    """A library, by its folder or its URL."""
+    """A library in a folder, or in an object store behind a URL."""
 
     def __init__(self, address: str) -> None:
         self.address = address.rstrip("/") if is_url(address) else os.path.realpath(address)
         self.title = self.address.rsplit("/", 1)[-1]
         self.store = Store(self.address)
 
-    # ---- what lies there ----
+    # ---- what is there ----
 
     def names(self) -> list[str]:
-        """The names of folders that are named as results are: a name, a hyphen, 8 hex digits."""
+        """The folders that have the name of a result (a name, a hyphen, 8 hex digits), sorted."""
         return sorted(name for name in self.store.listed()[1] if RESULT.fullmatch(name) and is_entry(name))
 
     def result(self, folder: str) -> Material | None:
@@ -55,13 +55,13 @@ class ResultStore:
         return found if found and found.files and all(map(stays_inside, found.files)) else None
 
     def materials(self) -> dict[str, Material]:
-        """All records, by the name of the folder. If it has a result and a failure, the result counts."""
+        """A dict: folder to record. If a folder has a result and a failure, the result counts."""
         folders = self.store.listed(FAILED)[1]
         failed = (self._read(f"{FAILED}/{name}/{REASON}", name, "failed") for name in folders)
         return {each.folder: each for each in (*failed, *map(self.result, self.names())) if each}
 
     def damage(self, result: Material, hashes: bool) -> str:
-        """What is wrong with the files of a result (``hashes``: also with their content); empty: nothing."""
+        """The first fault in the files of a result; empty if none. ``hashes``: contents are compared too."""
         there = self.store.objects(result.folder)
         for name, stated in result.files.items():
             if name not in there:
@@ -74,14 +74,14 @@ class ResultStore:
     # ---- what changes ----
 
     def fail(self, failure: Material, log: str) -> None:
-        """Keep why a material failed, and what its fit printed."""
+        """Write why a material failed, and what its fit printed."""
         self.forget(failure.folder)
         if log.strip():
             self.store.write(f"{FAILED}/{failure.folder}/{LOG}", log.encode(errors="replace"))
         self._write(f"{FAILED}/{failure.folder}/{REASON}", failure)
 
     def forget(self, folder: str) -> None:
-        """Forget that a material failed."""
+        """Remove the record that a material failed."""
         self.store.remove(f"{FAILED}/{folder}")
 
     def restate(self, result: Material) -> None:
@@ -90,7 +90,7 @@ class ResultStore:
 
     @contextlib.contextmanager
     def building(self, attempt: str) -> Iterator[Path]:
-        """An empty local folder to make a result in. After the block, what is left in the folder is lost."""
+        """An empty local folder in which a result is made. After the block, what is left there is deleted."""
         if self.store.folder is None:
             with tempfile.TemporaryDirectory(prefix="mitsvbrdf-") as name:
                 yield Path(name)
@@ -104,11 +104,11 @@ class ResultStore:
             shutil.rmtree(folder, ignore_errors=True)
 
     def publish(self, made: Path, result: Material) -> bool:
-        """Publish a result made in a folder of :meth:`building` under its name. If a whole result of that
-        name exists, nothing changes, and the answer is False.
+        """Publish a result that was made in a folder of :meth:`building`. If a complete result of its name
+        exists already, change nothing and return False.
 
-        In a folder one rename publishes it, after all files are on the disk. In a store the record is written
-        last: without it the other files do not count. OutputError: a newer batch has taken the folder away.
+        In a local library one rename publishes it, after all files are on the disk. In an object store the
+        record is written last; without it no file counts. OutputError: a newer batch has removed ``made``.
         """
         if self.result(result.folder) is not None:
             return False
@@ -135,32 +135,32 @@ class ResultStore:
                 return False
             if reason.errno not in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
                 raise
-            self.set_aside(result.folder)  # something that is no result has its name
+            self.set_aside(result.folder)  # a folder that is no result has this name
             os.rename(made, target)
         with contextlib.suppress(OSError):  # the result is there; some file systems cannot sync a folder
             to_disk(self.store.folder)
         return True
 
     def set_aside(self, folder: str) -> None:
-        """Rename a folder that is no whole result: its name becomes free, and nothing is lost."""
+        """Rename a folder that is not a complete result: its name becomes free, and no file is lost."""
         with contextlib.suppress(FileNotFoundError):
             self.store.move(folder, f"{folder}.damaged.{secrets.token_hex(4)}")
 
     def clear_work(self) -> None:
         """Remove all unfinished results, and ``failed/`` if it is empty.
 
-        The folder is renamed first, so that a worker that outlived its batch has nothing to publish.
+        Their folder is renamed first: then a worker that still runs after its batch can publish nothing.
         """
         if self.store.folder is None:
             return
-        with contextlib.suppress(OSError):  # it holds something, or is none
+        with contextlib.suppress(OSError):  # the folder is not empty, or does not exist
             (self.store.folder / FAILED).rmdir()
         with contextlib.suppress(FileNotFoundError):
             self.store.move(WORK, f"{WORK}-{secrets.token_hex(4)}")
         for old in self.store.folder.glob(f"{WORK}-*"):
             self.store.remove(old.name)
 
-    # ---- whose it is ----
+    # ---- lock and token ----
 
     @contextlib.contextmanager
     def claimed(self) -> Iterator[str]:

@@ -1,4 +1,4 @@
-"""The loop of a batch: it hands out captures, notes how each fit ended, and prints it."""
+"""The loop of a batch: it hands out captures, and notes and prints how each fit ended."""
 
 import contextlib
 import re
@@ -20,36 +20,36 @@ from .records import Material
 from .settings import BatchSettings
 from .tasks import RayTasks
 
-TURN_SECONDS = 0.5  # longest wait before the loop looks again
+TURN_SECONDS = 0.5  # longest wait for news of the fits in one turn of the loop
 PAGE_SECONDS = 5.0  # between two writings of the page; writing takes at most a fiftieth of the time
 PAGE_SHARE = 1 / 50
-MOST_LOST = 8  # deaths of a capture's node, or of its worker before the fit, after which the capture fails
+MOST_LOST = 8  # times that a capture is handed out again after its node, or its worker before the fit, died
 MOST_UNREADY = 20  # workers in a row that may die before a fit
 LAST_WORDS = re.compile(rf"^(?:Fatal Python error: |{HELD} ).*", re.MULTILINE)
 
 
 class Batch:
-    """A library that is being filled.
+    """A batch that fills a library.
 
-    The largest captures go first: else the batch may wait for one alone at the end. A fit that crashed, or
-    took more time or memory than allowed, is tried again after all others. A refused fit is not: it would be
-    refused again. A fit that was lost with its node, or before it began, is handed out again at once.
+    The longest fits go first: otherwise the batch may wait for one alone at the end. A fit that crashed, or
+    took more time or memory than allowed, is tried again after all others. A fit that ended with an error is
+    not tried again. A fit that was lost with its node, or before it began, is handed out again at once.
     """
 
     def __init__(self, library: Library, work: Sequence[Material], settings: BatchSettings, token: str,
                  tell: Callable[[str], None]) -> None:
         self.library, self.settings, self.token, self.tell = library, settings, token, tell
-        self.name = secrets.token_hex(4)  # of this run, in the names of its attempts
+        self.name = secrets.token_hex(4)  # of this run; a part of the names of its attempts
         self.waiting = deque(sorted(work, key=lambda each: -each.cost))
-        self.running: dict[str, Material] = {}  # by the name of the attempt
-        self.began: dict[str, float] = {}  # when its worker was ready
+        self.running: dict[str, Material] = {}  # name of the attempt to material
+        self.began: dict[str, float] = {}  # name of the attempt to the time when its worker was ready
         self.tried, self.lost = Counter[str](), Counter[str]()
         self.started, self.ended, self.failed, self.unready, self.trouble = time.monotonic(), 0, 0, 0, ""
         self._page_due = 0.0
         self.memory = settings.memory if settings.address else settings.local_memory()
 
     def run(self, tasks: RayTasks) -> bool:
-        """Run until all is done, or until Ctrl-C: the first waits for the running fits, the second does not.
+        """Run until all fits have ended. A first Ctrl-C waits for the running fits only, a second for none.
 
         Returns whether it was interrupted. BackendError: Ray ended, or a node cannot take part.
         """
@@ -77,7 +77,7 @@ class Batch:
 
     @contextlib.contextmanager
     def _noting(self) -> Iterator[None]:
-        """If the library cannot be written, nothing more is handed out; running fits are waited for."""
+        """If the library cannot be written, no more fits are handed out; running fits are waited for."""
         try:
             yield
         except (OutputError, OSError) as reason:
@@ -97,12 +97,12 @@ class Batch:
             self.library.running.add(material.folder)
 
     def _overdue(self, name: str) -> float | None:
-        """The time limit of an attempt that exceeds the limit; None for any other attempt."""
+        """The time limit of an attempt, in seconds, if the attempt has exceeded it; else None."""
         limit, now = self.settings.timeout or self.running[name].limit, time.monotonic()
         return limit if limit and now > self.began.get(name, now) + limit else None
 
     def _heard(self, name: str, event: dict) -> None:
-        """Take in what a task yielded."""
+        """Process what a task yielded."""
         if name not in self.running:
             return
         if "state" not in event:
@@ -148,11 +148,11 @@ class Batch:
         return {"log": log, "reason": found[-1], "state": state}
 
     def _ended(self, material: Material, event: dict) -> None:
-        """Note how an attempt ended. A result that lies in the library counts first."""
+        """Note how an attempt ended. A result in the library counts, whatever ``event`` states."""
         result = self.library.results.result(material.folder)
         state, folder, reason = event["state"], material.folder, event["reason"]
         how = "" if state == "failed" else f" ({state})"
-        if result and result.identity == material.identity:  # also of a worker that died after that
+        if result and result.identity == material.identity:  # even if the worker died after publishing
             self.library.done(result)
             error = "" if result.row.error is None else f", RMSE {result.row.error:.4f}"
             self._say(f"{material.name}: done{error}, {result.row.seconds or 0:.1f} s", ended=True)
@@ -175,7 +175,7 @@ class Batch:
 
     @property
     def words(self) -> str:
-        """The progress so far."""
+        """The progress so far, as text."""
         running, left = len(self.running), len(self.waiting) + len(self.running)
         parts = [f"{self.ended:,} of {self.ended + left:,} ended",
                  *(f"{n:,} {what}" for n, what in ((running, "running"), (self.failed, "failed")) if n)]

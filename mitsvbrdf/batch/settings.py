@@ -1,12 +1,12 @@
-"""How a batch runs, whatever it fits."""
+"""The settings of a batch that do not depend on what it fits."""
 
 from dataclasses import dataclass
 
 from ..errors import ConfigError
 from ..io.provenance import memory_gib, usable_cores
 
-HEADROOM = 0.9  # share of the memory free at the start of the batch, for all workers together
-LEAST_GIB = 1.5  # a worker holds about 0.7 GiB before it fits, and this much in a fit at 256 px
+HEADROOM = 0.9  # share of the memory free at the start of the batch that all workers together may use
+LEAST_GIB = 1.5  # a worker uses about 0.7 GiB before it fits, and this much in a fit at 256 px
 NO_LIMIT = float("inf")
 
 
@@ -15,7 +15,7 @@ class BatchSettings:
     """Workers and their limits."""
 
     workers: int | None = None
-    """Captures fitted at a time. Default: one a core; on this machine fewer where memory is short."""
+    """Captures fitted at a time. Default: one a core; on this machine fewer if memory is short."""
     threads: int = 1
     """Threads of each worker."""
     address: str | None = None
@@ -41,7 +41,7 @@ class BatchSettings:
                 raise ConfigError(f"--{name} > 0", str(value), "give such a number")
 
     def local_workers(self) -> int:
-        """How many workers this machine has room for."""
+        """How many workers run on this machine: ``workers``, or as many as cores and memory allow."""
         if self.workers:
             return self.workers
         return int(max(1, min(usable_cores() // self.threads, memory_gib()[1] // (self.memory or LEAST_GIB))))

@@ -1,4 +1,4 @@
-"""Where the files of a batch lie: a local folder, or an object store behind a URL (``s3://``, ``gs://``)."""
+"""Where the files of a batch are: a local folder, or an object store behind a URL (``s3://``, ``gs://``)."""
 
 import contextlib
 import hashlib
@@ -10,7 +10,7 @@ from typing import IO
 from ..errors import BackendError, MitsvbrdfError, OutputError
 from ..io.files import inside, open_regular, remove, stays_inside, write_bytes
 
-LOCAL = "file", "local"  # schemes of fsspec for local files; only there folders have to be made
+LOCAL = "file", "local"  # schemes of fsspec for local files; only these need folders to be made
 
 
 def is_url(address: str) -> bool:
@@ -19,11 +19,11 @@ def is_url(address: str) -> bool:
 
 
 class Store:
-    """A folder, or an object store (by the URL of a folder in it). Names in it are relative, with ``/``
-    between their parts.
+    """A local folder, or a folder in an object store, behind a URL. Names of files are relative to it, with
+    ``/`` between their parts.
 
-    No link in a folder is followed. No listing is kept, since other workers write. MitsvbrdfError: fsspec
-    does not know the URL, or a package is missing.
+    Links in a local folder are not followed. Listings are not cached, since other workers write too.
+    MitsvbrdfError: fsspec does not know the URL, or a package is missing.
     """
 
     def __init__(self, address: str) -> None:
@@ -44,18 +44,18 @@ class Store:
         self.root = root.rstrip("/")
 
     def path(self, name: str) -> str:
-        """The path of a file in its file system. OutputError: behind a link, or outside of the folder."""
+        """The path of a file in its file system. OutputError: behind a link or outside of the folder."""
         if self.folder and name and inside(self.folder, name) is None:
             raise OutputError("a library without links in it", f"{self.folder / name}", "move the link away")
         return f"{self.root}/{name}" if name else self.root
 
     def open(self, name: str) -> IO[bytes]:
-        """A file to read; FileNotFoundError where there is none."""
+        """A file, open for reading; FileNotFoundError if there is none."""
         path = self.path(name)
         return open_regular(Path(path)) if self.folder else self.fs.open(path, "rb")
 
     def read(self, name: str) -> bytes:
-        """The content of a file; FileNotFoundError where there is none."""
+        """The content of a file; FileNotFoundError if there is none."""
         with self.reached(), self.open(name) as file:
             return file.read()
 
@@ -78,7 +78,7 @@ class Store:
             self.fs.put_file(str(file), self.path(name))
 
     def fetch(self, folder: Path) -> None:
-        """Copy all that lies here to a folder of this machine."""
+        """Copy all files of the store into a folder of this machine."""
         for each in self.objects():
             if not stays_inside(each) or "\\" in each:
                 raise OutputError("names inside of their folder", f"{each} in {self.address}", "rename it")
@@ -96,7 +96,7 @@ class Store:
         return names["file"], names["directory"]
 
     def objects(self, name: str = "") -> dict[str, dict]:
-        """What the file system tells of each regular file below a folder, by name relative to the folder."""
+        """A dict of all regular files below a folder: relative path to fsspec's description of it."""
         folder = self.path(name)
         with self.reached():
             found = self.fs.find(folder, detail=True)
@@ -118,7 +118,7 @@ class Store:
             self.fs.mv(self.path(name), self.path(other), recursive=True)
 
     def remove(self, name: str) -> None:
-        """Delete a file, or a folder with all in it; of a link the link alone."""
+        """Delete a file, a folder with its content, or a link (not its target)."""
         with contextlib.suppress(FileNotFoundError):
             if self.folder:
                 remove(self.folder / name)
@@ -128,12 +128,12 @@ class Store:
 
     @contextlib.contextmanager
     def reached(self) -> Iterator[None]:
-        """Inside the block, an error of an object store or client becomes ours; FileNotFoundError stays."""
+        """Turn errors of an object store inside the block into OutputError; FileNotFoundError stays."""
         try:
             yield
         except (MitsvbrdfError, FileNotFoundError):
             raise
-        except Exception as reason:  # each client has its own
+        except Exception as reason:  # each client has its own exceptions
             if self.folder:
                 raise
             raise OutputError("a store that answers", f"{self.address}: {type(reason).__name__}: {reason}",

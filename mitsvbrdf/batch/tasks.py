@@ -1,4 +1,4 @@
-"""Tasks on Ray: a Ray of this batch alone, or a cluster that it joins."""
+"""Run tasks on Ray: on a Ray started for this batch alone, or on a cluster that the batch joins."""
 
 from __future__ import annotations
 
@@ -19,37 +19,37 @@ from ..errors import BackendError
 from .fitting import fit_task
 from .settings import BatchSettings
 
-PREFIX = "mitsvbrdf-ray-"  # of the folder of a Ray of its own, which nobody else may enter
-OBJECT_STORE_BYTES = 80 << 20  # Ray wants 75 MiB at least; it is shared memory that stays untouched
+PREFIX = "mitsvbrdf-ray-"  # of the folder of the batch's own Ray; no other user may enter it
+OBJECT_STORE_BYTES = 80 << 20  # shared memory; Ray requires 75 MiB or more, the batch uses none of it
 LOOPBACK = "127.0.0.1"
 ALONE = {
     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # also on Linux, this keeps Ray on loopback
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_AUTH_MODE": "token",  # other users of this machine reach the ports too
-    # else Ray starts a process for each CPU, which nobody needs
+    # otherwise Ray starts a process for each CPU in advance
     "RAY_enable_worker_prestart": "0", "RAY_prestart_worker_first_driver": "0",
     "RAY_enable_metrics_collection": "0",
     "RAY_worker_niceness": "0",
 }
 THREADS = "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS"
-CALLS = 200  # fits of a worker, before a new worker replaces it and its memory is free again
-TRIES = 3  # Ray gives up where a busy machine takes more than half a minute to start it
-LOOK_SECONDS = 5.0  # between two looks at a cluster's nodes
-SILENT_SECONDS = 30.0  # a cluster that gives no answer for so long is gone
+CALLS = 200  # fits of a worker before a new worker replaces it, which frees its memory
+TRIES = 3  # attempts to start Ray; one fails if a busy machine takes more than half a minute
+LOOK_SECONDS = 5.0  # between two queries of a cluster's nodes
+SILENT_SECONDS = 30.0  # a cluster without an answer for this time counts as gone
 GONE = "run the same command again: it goes on"
 
 
 class RayTasks:
     """Fits that run on Ray. A context manager: it starts Ray or joins a cluster, and ends what it started.
 
-    ``function`` yields who does a task, then how the task ended. Each node loads it from its own package.
+    ``function`` yields a dict about its worker, then the outcome. Each node loads it from its package.
     """
 
     def __init__(self, settings: BatchSettings,
                  function: Callable[[dict], Iterator[dict]] = fit_task) -> None:
         self.settings, self.function, self._workers = settings, function, settings.local_workers()
-        self._tasks: dict[Any, str] = {}  # names by generator
-        self._servers: set[int] = set()  # processes of a Ray of its own
+        self._tasks: dict[Any, str] = {}  # generator to name
+        self._servers: set[int] = set()  # process ids of the batch's own Ray
         self._nodes: list[dict] = []
         self._heard = time.monotonic()
 
@@ -95,10 +95,10 @@ class RayTasks:
                     ray.cancel(task, force=True)
 
     def events(self, seconds: float) -> list[tuple[str, dict]]:
-        """What tasks yielded since the last call, with their names. Waits ``seconds`` at most.
+        """(name, what it yielded) of each task that has yielded something. Waits ``seconds`` at most.
 
-        A task whose worker is gone yields a ``state`` (crashed, cancelled, memory, or lost with its node) and
-        a ``reason``. A task ends with its first ``state``. BackendError: Ray itself ended.
+        If the worker of a task is gone, its item is a ``state`` (crashed, cancelled, memory, or lost with its
+        node) and a ``reason``. A task ends with its first ``state``. BackendError: Ray itself ended.
         """
         import ray
 
@@ -132,7 +132,7 @@ class RayTasks:
             return {"state": "crashed", "reason": "its worker died, by itself, by hand, or as memory ran out"}
 
     def _start(self, folder: Path) -> None:
-        """Start a Ray of its own, or join a cluster."""
+        """Start a Ray for this batch, or join a cluster."""
         address, here = self.settings.address, self.settings.address is None
         if here and "ray" in sys.modules and not ALONE.items() <= os.environ.items():
             raise BackendError("Ray not imported yet", "it imported before", "run `mitsvbrdf batch`")
@@ -147,7 +147,7 @@ class RayTasks:
 
                 self._nodes = ray.nodes()
                 threading.Thread(target=self._look, daemon=True).start()
-        except Exception as error:  # Ray raises what it likes
+        except Exception as error:  # Ray raises exceptions of many kinds
             raise BackendError("Ray to start" if here else f"a Ray cluster at {address}",
                 f"{type(error).__name__}: {str(error)[:500]}",
                 "install it again: pip install --force-reinstall ray" if here
@@ -176,7 +176,7 @@ class RayTasks:
         self._servers = _children() - before
 
     def _init(self, folder: Path, address: str | None, **options: Any) -> None:
-        """Start or join Ray, in a folder without modules: workers may import from the current folder."""
+        """Start or join Ray in a folder without modules, as workers may import from the current folder."""
         import ray
 
         env = {"env_vars": dict.fromkeys(THREADS, str(self.settings.threads))}
@@ -189,7 +189,7 @@ class RayTasks:
             raise
 
     def _look(self) -> None:
-        """See which nodes a cluster has, again and again."""
+        """Query the nodes of a cluster, again and again."""
         import ray
 
         with contextlib.suppress(Exception):  # disconnected
@@ -198,7 +198,7 @@ class RayTasks:
                 time.sleep(LOOK_SECONDS)
 
     def _check(self) -> None:
-        """Raise BackendError where Ray is gone: without its head nothing more would come back."""
+        """Raise BackendError if Ray is gone: no result would come back."""
         if any(map(_has_ended, self._servers)):
             raise BackendError("Ray to run as long as the batch", "the end of one of its processes", GONE)
         if self.settings.address is not None and time.monotonic() > self._heard + SILENT_SECONDS:
@@ -206,7 +206,7 @@ class RayTasks:
 
 
 def require_ray() -> None:
-    """Raise BackendError where Ray is missing."""
+    """Raise BackendError if the package ray is missing."""
     import importlib.util
 
     if importlib.util.find_spec("ray") is None:
@@ -221,7 +221,7 @@ def _reach(address: str) -> None:
 
 
 def _children() -> set[int]:
-    """The processes that this one started; none where that cannot be told."""
+    """The ids of the child processes of this process; empty if the system does not list them."""
     found = set[int]()
     with contextlib.suppress(OSError):
         for thread in Path("/proc/self/task").iterdir():

@@ -1,4 +1,4 @@
-"""Fits of every method on every task with every budget and seed, each kept as one line of a file."""
+"""Fit every task by every method, with every budget and seed; each fit is one line of a file."""
 
 import contextlib
 import functools
@@ -26,10 +26,10 @@ from .tasks import Predict, Task
 
 
 class Record(TypedDict):
-    """One fit: its key, and what came of it.
+    """One fit: its key (the fields that identify the fit) and its results.
 
-    ``seconds`` are those of the loop; ``wall`` includes the preparation before and the diagnosis after it.
-    ``errors`` are those of the task. A failed fit has no errors, and ``why`` states the reason.
+    ``seconds`` is the time of the loop; ``wall`` includes the preparation before and the diagnosis after it.
+    ``errors`` is what the task measures. A failed fit has no errors, and ``why`` states the reason.
     """
 
     method: str
@@ -54,7 +54,7 @@ class Record(TypedDict):
 
 
 BEGUN = b'{"method":'  # what every record begins with
-RESULTS = ("seconds", "wall", "iterations", "stopped", "why", "errors")  # the others are the key
+RESULTS = ("seconds", "wall", "iterations", "stopped", "why", "errors")  # the other fields are the key
 
 
 @dataclass(frozen=True)
@@ -68,14 +68,14 @@ class Job:
     seed: int
 
     def key(self, renderer: Renderer) -> dict[str, Any]:
-        """What identifies its record."""
+        """The fields that identify its record."""
         return {"method": self.method, **self.task.key, "config": settings_of(self.config),
                 "renderer": f"{renderer.name} {renderer.variant or ''}".strip(), "budget": float(self.budget),
                 "seed": self.seed, "version": version(), "machine": machine()}
 
 
 def method_table() -> dict[str, FitConfig]:
-    """Settings by name: the methods of ``fit``, and an entry for each preset that is not their default."""
+    """A dict: name to settings, for each method of ``fit``, and for each preset that is not its default."""
     table: dict[str, FitConfig] = {}
     for name, config in METHODS.items():
         table[name] = default = config()
@@ -95,8 +95,8 @@ def run(methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequen
     file at ``path`` has one JSON object a line. An existing file is continued. Returns the records asked for,
     of this version and machine, in the order of the fits.
 
-    ConfigError, OutputError: the file holds something else, or cannot be written. KeyboardInterrupt: Ctrl-C;
-    the records of finished fits are kept.
+    ConfigError, OutputError: the file contains something else, or cannot be written. KeyboardInterrupt:
+    Ctrl-C; the records of finished fits are kept.
     """
     jobs = [Job(method, task, config, budget, seed)
             for seed in seeds for budget in sorted(budgets) for task in tasks
@@ -104,7 +104,7 @@ def run(methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequen
     path, found, warm = Path(path), dict[str, Record](), set[tuple]()
     if path.exists():
         found = {identity(record): record for record in read_records(path)}
-        with path.open("r+b") as file:  # an unfinished last line goes
+        with path.open("r+b") as file:  # an unfinished last line is removed
             file.truncate(file.read().rfind(b"\n") + 1)
     keys = [job.key(renderer) for job in jobs]
     missing = [(job, key) for job, key in zip(jobs, keys) if identity(key) not in found]
@@ -122,9 +122,9 @@ def run(methods: Mapping[str, FitConfig], tasks: Sequence[Task], budgets: Sequen
 
 
 def read_records(path: Path) -> list[Record]:
-    """The records of a file; an unfinished last line, as a killed run leaves it, is no record.
+    """The records of a file. An unfinished last line, which a killed run can leave, is ignored.
 
-    ConfigError: it cannot be read, or holds something else.
+    ConfigError: the file cannot be read, or contains something else.
     """
     what, fix = "records of a benchmark, one JSON object a line", "choose another --json"
     try:
@@ -159,7 +159,7 @@ def identity(record: Mapping[str, Any]) -> str:
 
 
 def settings_of(config: FitConfig) -> dict[str, Any]:
-    """The class and the settings that are not its defaults, for JSON; each fit sets budget and seed."""
+    """For JSON: the class, and the settings that are not its defaults, without budget and seed."""
     own = asdict(type(config)())
     changed = {name: value for name, value in asdict(config).items()
                if value != own[name] and name not in ("budget", "seed")}
@@ -181,9 +181,9 @@ def version() -> str:
 
 def fit(capture: Capture, renderer: Renderer, config: FitConfig,
         report: Callable[[float], None]) -> tuple[Fit, Predict]:
-    """One fit, and a function for its error on photos. The light falls off as the method assumes.
+    """One fit, and a function that gives its error on photos. Light falls off as the method assumes.
 
-    KeyboardInterrupt: Ctrl-C ended it. MitsvbrdfError: the fit is refused, or its budget ends before the
+    KeyboardInterrupt: Ctrl-C ended the fit. MitsvbrdfError: the fit is refused, or its budget ends before the
     first step.
     """
     def lit(shots: Capture) -> Capture:
@@ -202,7 +202,7 @@ def fit(capture: Capture, renderer: Renderer, config: FitConfig,
 
 
 def _fitted(job: Job, key: dict, renderer: Renderer, tell: Callable[[float], None]) -> Record:
-    """The record of one fit. A fit that cannot be done is a result too: it has no errors, and says why."""
+    """Do one fit; return its record. A fit that fails has a record without errors, with the reason."""
     config = replace(job.config, budget=job.budget, seed=job.seed)
     try:
         (result, predicted), wall = timed(fit, job.task.photos, renderer, config, tell)
@@ -218,11 +218,11 @@ def _fitted(job: Job, key: dict, renderer: Renderer, tell: Callable[[float], Non
 
 
 def _warm_up(job: Job, renderer: Renderer, warm: set[tuple]) -> None:
-    """Do two steps before the first fit of a shape, so that no measured fit waits for kernels to compile."""
+    """Do two steps before the first fit of a shape: then kernels are compiled before any fit is measured."""
     photos = job.task.photos
     shape = job.method, len(photos), photos.resolution
     if shape not in warm:
         warm.add(shape)
-        with contextlib.suppress(MitsvbrdfError):  # the fit itself tells
+        with contextlib.suppress(MitsvbrdfError):  # the measured fit reports it
             fit(photos, renderer, replace(job.config, budget=None, iterations=2, seed=job.seed),
                 lambda share: None)

@@ -7,15 +7,15 @@ import pandas as pd
 
 from ..report.page import figure
 
-# The errors that judge each kind of task, and their names in titles.
+# The errors compared for each kind of task: their names in records, and in titles.
 ERRORS = {"material": {"mean": "maps", "novel_light": "images under new light"},
           "capture": {"held_out": "held-out photos", "seen": "photos seen"}}
 KINDS = {"material": "known materials", "capture": "real captures"}
-BY_ITSELF = ("iterations", "settled")  # how fits end before their budget does
+BY_ITSELF = ("iterations", "settled")  # reasons why a fit ends before its budget
 
 
 class Judged(NamedTuple):
-    """Fits that one error judges."""
+    """Fits that are compared by one error."""
 
     title: str
     error: str
@@ -23,14 +23,14 @@ class Judged(NamedTuple):
 
 
 def judged(records: Iterable[Mapping[str, Any]]) -> Iterator[Judged]:
-    """Group records by what judges them: kind of task, held-out photos, and error."""
+    """Group the records that can be compared: same kind of task, same held-out photos, same error."""
     groups: dict[tuple, list[Mapping]] = {}
     for record in records:
         groups.setdefault((record["kind"], tuple(record.get("held_out", ()))), []).append(record)
     for (kind, held_out), group in groups.items():
         without = f" without photos {' and '.join(map(str, held_out))}" if held_out else ""
         for error, what in ERRORS[kind].items():
-            # tasks that have other errors alone, such as captures without views, are not in this table
+            # tasks without this error, such as captures without views, are not in this table
             having = {r["name"] for r in group if error in r["errors"]}
             some = [r for r in group if r["name"] in having or not r["errors"]]
             if any(error in record["errors"] for record in some):
@@ -64,7 +64,7 @@ def summary(records: Iterable[Mapping[str, Any]], error: str) -> pd.DataFrame:
 
 
 def table(group: Judged) -> pd.DataFrame:
-    """Text for readers: a row for each method, a column for each budget, the best of each budget in bold."""
+    """Cells of text: a row for each method, a column for each budget, the best of each budget in bold."""
     found = summary(group.records, group.error)
     budgets = sorted({record["budget"] for record in group.records})
     best = {budget: found.xs(budget, level="budget")["median"].min() for budget in budgets
@@ -85,7 +85,7 @@ def markdown(groups: Sequence[Judged]) -> str:
 
 
 def note(group: Judged) -> str:
-    """What to know of a table: how many seeds, and which methods ended by themselves."""
+    """The text below a table: how many seeds, and which methods ended by themselves."""
     found = summary(group.records, group.error)
     seeds = found["seeds"].max()
     ended = found[found["ended"]].groupby("method", sort=False)["seconds"].agg(["min", "max"])
@@ -110,7 +110,7 @@ def _cell(found: pd.Series, best: float, seeds: int) -> str:
 
 
 def _absent(records: Iterable[Mapping[str, Any]], method: str, budget: float) -> str:
-    """Why there is no figure."""
+    """The text of a cell without a figure: the reason."""
     here = [r for r in records if r["method"] == method and r["budget"] == budget]
     failed = sorted({r["name"] for r in here if r["stopped"] == "failed"})
     return f"fails on {', '.join(failed)}" if failed else "incomplete" if here else "not run"

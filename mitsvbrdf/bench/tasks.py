@@ -1,4 +1,4 @@
-"""What is fitted: photos of known materials, and real captures of which some photos are held out."""
+"""The tasks: photos of known materials, and real captures with some photos held out of the fit."""
 
 import hashlib
 import math
@@ -26,8 +26,8 @@ from ..render import Renderer, make_renderer
 from ..synth import photograph
 from ..views import Views
 
-HELD_OUT = (4, 7)  # photos of a real capture that no fit sees, by default
-# RMSE in display values of what a fit predicts for photos.
+HELD_OUT = (4, 7)  # numbers of the photos of a real capture that no fit sees, by default
+# Photos -> RMSE of the images that a fit predicts for them, in display values.
 Predict = Callable[[Capture], float]
 
 
@@ -38,9 +38,9 @@ class KnownMaterial:
     kind: ClassVar = "material"
     name: str  # of the material
     truth: SVBRDF  # its maps
-    folder: Path | None  # where they were read; None for a made material
+    folder: Path | None  # from which the maps were read; None for a made material
     photos: Capture  # what is fitted
-    seen_from: str = "builtin:grid"  # the capture whose views the photos have, by name
+    seen_from: str = "builtin:grid"  # name of the capture whose views the photos have
 
     @property
     def key(self) -> dict:
@@ -53,7 +53,7 @@ class KnownMaterial:
         return _digest(self.truth.maps.values(), [self.photos])
 
     def errors(self, svbrdf: SVBRDF, predict: Predict) -> dict[str, float]:
-        """RMSE of each map, their ``mean``, and the RMSE of ``novel_light`` images and of the ``photos``."""
+        """A dict of RMSE: each map, their ``mean``, images under ``novel_light``, and the ``photos``."""
         maps = map_rmse(svbrdf, self.truth) if self.folder is None else evaluate_maps(svbrdf, self.folder)
         size = min(svbrdf.resolution, self.truth.resolution)
         renderer, lit = make_renderer("analytic"), novel_views(self.photos.views)
@@ -71,8 +71,8 @@ class RealCapture:
     kind: ClassVar = "capture"
     name: str  # of the capture
     photos: Capture  # what is fitted
-    unseen: Capture | None  # the photos held out; None where there are none, or no views to predict them from
-    held_out: tuple[int, ...] = HELD_OUT  # the numbers of the photos that were to be held out
+    unseen: Capture | None  # the photos held out; None if there are none, or their views are unknown
+    held_out: tuple[int, ...] = HELD_OUT  # the numbers that were to be held out; the capture may lack some
 
     @property
     def key(self) -> dict:
@@ -96,7 +96,7 @@ Task = KnownMaterial | RealCapture
 
 def known_material(name: str, resolution: int, views: Views, renderer: Renderer,
                    seen_from: str = "builtin:grid") -> KnownMaterial:
-    """8-bit photos without noise of ``builtin:NAME`` or a folder of maps; ``seen_from`` names the views."""
+    """Photograph ``builtin:NAME`` or a folder of maps: 8 bits, no noise. ``seen_from`` names the views."""
     if name.startswith("builtin:"):
         truth, folder = make_material(name.removeprefix("builtin:"), resolution), None
     else:
@@ -119,12 +119,11 @@ def real_capture(folder: Path, resolution: int, held_out: Sequence[int] = HELD_O
 
 def find_tasks(materials: Sequence[str] | None, captures: Sequence[str] | None, data: Path | None,
                resolution: int, held_out: Sequence[int], views: str | None, renderer: Renderer) -> list[Task]:
-    """Tasks by name: known materials (``builtin:NAME``, folders, made ones or those in the data) and
-    captures.
+    """The tasks named: known materials (``builtin:NAME``, folders, made ones or those in ``data``), captures.
 
-    None takes all there are; "none" is skipped. No fit sees the photos of captures with the numbers
-    ``held_out``. The renderer makes the photos of known materials. Their views are those of a capture or
-    builtin:grid; None: the capture cards-blue of the data, else builtin:grid.
+    None takes all there are; the name "none" is skipped. No fit sees the photos of captures with the numbers
+    ``held_out``. The renderer makes the photos of known materials, in the views of the capture ``views`` or
+    of builtin:grid; None: the views of the capture cards-blue in ``data``, else of builtin:grid.
 
     ConfigError, CaptureError, MapsError: a task is missing, two tasks have one name, or there is no task.
     """
@@ -159,7 +158,7 @@ def _chosen(asked: Sequence[str] | None, known: Mapping[str, str]) -> list[str]:
 
 
 def data_folder(folder: Path | None = None) -> Path | None:
-    """The folder of captures and known materials: as named, else MITSVBRDF_DATA, else None."""
+    """The folder of captures and known materials: ``folder``, else MITSVBRDF_DATA, else None."""
     named = folder or (Path(os.environ["MITSVBRDF_DATA"]) if os.environ.get("MITSVBRDF_DATA") else None)
     if named is not None and not ((named / "captures").is_dir() or (named / "materials").is_dir()):
         raise ConfigError("a folder with captures/ or materials/", str(named), "check --data, MITSVBRDF_DATA")
@@ -167,7 +166,7 @@ def data_folder(folder: Path | None = None) -> Path | None:
 
 
 def _digest(pictures: Iterable[Tensor | None], shots: Sequence[Capture]) -> str:
-    """What tells tasks of one name apart: 16 hex digits for pictures, and for what is stated of photos."""
+    """16 hex digits that tell tasks of one name apart: a hash of pictures, views, transfer, calibration."""
     views = [each.views for each in shots]
     lit = [numbers for each in views for numbers in (each.camera, each.light, each.intensity)]
     told = digest(*(shown for shown in pictures if shown is not None), *lit)
@@ -178,8 +177,8 @@ def _digest(pictures: Iterable[Tensor | None], shots: Sequence[Capture]) -> str:
 def novel_views(views: Views) -> Views:
     """Views from straight above, with lights far from the lens. No flash photo has such light.
 
-    Four lights stand 25 degrees from the vertical, and four 50 degrees, turned by half a step. Their distance
-    is the mean height of the photos' cameras. A central white diffuse texel that faces one has radiance 1.
+    Four lights are 25 degrees from the vertical, and four 50 degrees, turned by half a step. Their distance
+    is the mean height of the photos' cameras. A central white diffuse texel facing a light has radiance 1.
     """
     height = float(views.in_patch_sides().camera[:, 2].mean())
     lights = []

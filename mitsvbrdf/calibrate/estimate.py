@@ -4,15 +4,15 @@ One specular lobe for all texels explains the photos roughly, with flash and cam
 
     radiance = e s(d, z) (rho + k lobe(roughness)),   s = z / d^3 (z / d)^b
 
-rho and k of each texel, with k near one level, are eliminated (variable projection, Golub and Pereyra 1973).
-The unknowns that remain are the places, exposures e and three numbers for all: the roughness, the level of
-k and b. b says how much faster the light falls off than a point light's, by the beam of a flash and the
-darker corners of a lens. Without b, real photos seem taken from half as far.
+d is the distance to the texel. rho (diffuse) and k (specular, near one level) of each texel are eliminated
+(variable projection, Golub and Pereyra 1973). The unknowns that remain are the places, the exposures e
+and three numbers for all texels: the roughness, the level of k, and b. b models the beam of the flash and the
+darker corners of the lens: light falls off faster than from a point light. Without b, heights are halved.
 
-- A highlight marks the mirror point. The flash stands above it: so x and y are certain, in patch sides.
-- The photos hardly tell the height: flash, material and lens can all make the same gradient. So heights lie
-  around those usual for phones (:data:`HEIGHT`, :data:`SPREAD`), and their uncertainty is stated.
-- Only what materials usually reflect tells the light power (:data:`F0`,
+- The mirror point is at the highlight. The flash is above it, so x and y are well determined, in patch sides.
+- The height is badly determined: flash, material and lens can all cause the same gradient. So the prior is
+  the height usual for phones (:data:`HEIGHT`, :data:`SPREAD`), and the uncertainty is stated.
+- The light power is estimated from what materials usually reflect (:data:`F0`,
   :data:`~mitsvbrdf.material.maps.USUAL_ALBEDO`).
 """
 
@@ -37,41 +37,41 @@ from ..material.maps import DIELECTRIC_F0, USUAL_ALBEDO, WHITEST
 from ..views import Views
 from .readings import mean_radiance
 
-ESTIMATE_SIDE = 32  # pixels a side that are looked at
-GAMMA = 2.2  # errors are counted in radiance^(1 / GAMMA), whatever the photos' transfer
-NOISE = 0.05  # standard deviation of these errors: one lobe for all is rough
-ALIKE = 40.0  # so many pixels count as one: errors of this model are correlated
-ROBUST = 1.5  # errors beyond so many times the noise count linearly
-# photos of less radiance, or of less change of its logarithm between them, do not tell their views
+ESTIMATE_SIDE = 32  # pixels a side of the averaged photos
+GAMMA = 2.2  # errors are in radiance^(1 / GAMMA), for any transfer function of the photos
+NOISE = 0.05  # standard deviation of these errors: one lobe for all texels is a rough model
+ALIKE = 40.0  # number of pixels that count as one, because errors of this model are correlated
+ROBUST = 1.5  # errors above this many times the noise count linearly
+# an estimate needs more: mean radiance of a photo; standard deviation of log radiance between photos
 DARK_RADIANCE, SAME_LOG = 0.01, 0.01
 
 # (Usual value, standard deviation of its natural logarithm.) In twelve real captures with known views,
 # heights were 1.7 to 4.0 patch sides (median 1.9), and the root mean square spread of cameras along an axis
 # was 0.10 to 0.18 of their height.
 HEIGHT, SPREAD = (2.2, 0.15), (0.14, 0.15)
-HEIGHTS, EXPOSURES = 0.06, 0.05  # standard deviations, natural logarithms, between the photos of one capture
-SIDEWAYS = 0.5  # patch sides, around the centre
-BEAM = (2.5, 1.5)  # usual b, standard deviation; the same captures: 0.7 to 5, apart from the most matte
-ROUGHNESS = (0.3, 0.5)  # alpha
-LEVELS = (0.1, 1.0)  # level of k as a share of the brightest diffuse
-OWN = 0.7  # how far a texel's own k may be from the level, as a share of it
-F0 = (DIELECTRIC_F0, 0.4)  # of the level of k
-POWER = (F0[1] ** -2 + USUAL_ALBEDO[1] ** -2) ** -0.5  # standard deviation of the log light power by both
+HEIGHTS, EXPOSURES = 0.06, 0.05  # standard deviations of natural logarithms between the photos of one capture
+SIDEWAYS = 0.5  # standard deviation of x and y from the centre, in patch sides
+BEAM = (2.5, 1.5)  # usual b, standard deviation; in the same captures 0.7 to 5, except the most matte
+ROUGHNESS = (0.3, 0.5)  # usual alpha of the lobe, standard deviation of its natural logarithm
+LEVELS = (0.1, 1.0)  # the same for the level of k, as a share of the brightest diffuse
+OWN = 0.7  # standard deviation of a texel's k from the level, as a share of the level
+F0 = (DIELECTRIC_F0, 0.4)  # the same for F0, to which the level of k is compared
+POWER = (F0[1] ** -2 + USUAL_ALBEDO[1] ** -2) ** -0.5  # standard deviation of log light power by F0, albedo
 
 PHOTO = Layout(place=(2,), height=(), exposure=())  # the unknowns of one photo
-ESTIMATED = Layout(camera=(3,), log_exposure=())  # what is found for a photo; lengths in patch sides
+ESTIMATED = Layout(camera=(3,), log_exposure=())  # what is estimated for a photo; lengths in patch sides
 
 
 @dataclass(frozen=True)
 class EstimatedViews:
-    """Views estimated from photos, and how sure they are; camera and flash are at the same place."""
+    """Views estimated from photos, with standard deviations; camera and flash are at the same place."""
 
-    views: Views  # the N views, in the unit of the capture's
-    deviation: Tensor  # standard deviations N x 4, by ESTIMATED
+    views: Views  # N views, in the unit of the capture's views
+    deviation: Tensor  # standard deviations N x 4, columns as in ESTIMATED
 
 
 def why_not(capture: Capture) -> str | None:
-    """Why the views cannot be estimated from the photos; None where they can."""
+    """The reason why views cannot be estimated from the photos; None if they can."""
     if len(capture) < LEAST_PHOTOS:
         return f"{LEAST_PHOTOS} photos or more are needed"
     if capture.views.falloff == "none":
@@ -87,10 +87,10 @@ def why_not(capture: Capture) -> str | None:
 
 @entry()
 def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
-    """An uncalibrated capture with views estimated from its photos, and a note; and the estimate.
+    """An uncalibrated capture with estimated views and a note, and the estimate.
 
-    A calibrated capture is returned as it is, with None. Where views cannot be estimated (:func:`why_not`),
-    the capture keeps the default geometry, and a note says why.
+    A calibrated capture is returned as it is, with None. If views cannot be estimated (:func:`why_not`),
+    the capture keeps the default geometry and gets a note with the reason; the estimate is None.
     """
     if capture.calibrated:
         return capture, None
@@ -109,9 +109,9 @@ def self_calibrated(capture: Capture) -> tuple[Capture, EstimatedViews | None]:
 
 @entry()
 def estimate_views(capture: Capture) -> EstimatedViews:
-    """The most probable views of photos of an unknown material; a few seconds. See the module.
+    """The most probable views of photos of an unknown material; takes a few seconds. See the module.
 
-    :func:`why_not` gives None for the capture. Of its views only the unit is used.
+    For ``capture``, :func:`why_not` must return None. Only the unit of its views is used.
     """
     problem = Problem(capture)
     start = np.zeros(problem.layout.size)
@@ -131,8 +131,8 @@ def estimate_views(capture: Capture) -> EstimatedViews:
 class Problem:
     """The least-squares problem in unknowns whose prior is the standard normal distribution.
 
-    By ``layout``: ``photos`` are those of each photo (:data:`PHOTO`: x and y, height relative to the common
-    one, exposure). All photos share the others: ``height``, ``beam`` (b), ``alpha`` (of the lobe) and
+    ``layout`` names them. ``photos`` are those of each photo (:data:`PHOTO`: x and y, height relative to the
+    common one, exposure). All photos share the others: ``height``, ``beam`` (b), ``alpha`` (of the lobe) and
     ``level`` (of k, relative to the brightest diffuse).
     """
 
@@ -149,7 +149,7 @@ class Problem:
         self.typical = float(np.median(self.light, axis=0).max())
 
     def mirror_points(self) -> np.ndarray:
-        """The place in each photo that is brightest relative to the others, N x 2: mostly a highlight."""
+        """N x 2: the place in each photo that is brightest relative to other photos, mostly a highlight."""
         level = np.median(self.light, axis=(1, 2), keepdims=True) + DARK_RADIANCE
         logs = np.log(self.light / level + DARK_RADIANCE)
         excess = logs - np.median(logs, axis=0)
@@ -163,11 +163,11 @@ class Problem:
         return np.array(found)
 
     def photos(self, u: np.ndarray) -> SimpleNamespace:
-        """The unknowns of all photos by :data:`PHOTO`: views into ``u``."""
+        """The parts of ``u`` that belong to photos, as in :data:`PHOTO`; they share its memory."""
         return PHOTO.unpack(self.layout.unpack(u).photos)
 
     def places(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict[str, float]]:
-        """Cameras N x 3, exposures N, and the numbers shared by all."""
+        """Cameras N x 3, exposures N, and a dict of the numbers that all photos share."""
         own, common = self.photos(u), self.layout.unpack(u)
         shared = {"height": HEIGHT[0] * math.exp(HEIGHT[1] * common.height),
                   "beam": BEAM[0] + BEAM[1] * common.beam,
@@ -217,7 +217,7 @@ class Problem:
         return rho, k, self._error(rho * diffuse + k * lobe)[0]
 
     def _error(self, radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Errors, 0 where masked and where a clipped value is reached; and their slope by radiance."""
+        """Errors (0 if masked, or if clipped and the model is brighter), and their slope by radiance."""
         error = radiance ** (1 / GAMMA) - self.shown
         slope = np.maximum(radiance, 1e-3) ** (1 / GAMMA - 1) / GAMMA
         return np.where(self.clipped & (error > 0), 0, error) * self.known, slope
@@ -248,6 +248,6 @@ class Problem:
 
 
 def _radiance(capture: Capture, side: int) -> tuple[np.ndarray, np.ndarray]:
-    """:func:`mean_radiance` at ``side`` at most, with the mean of the other photos where a mask hides it."""
+    """:func:`mean_radiance` at ``side`` at most, with the mean of the other photos at masked pixels."""
     light, known = (each.numpy() for each in mean_radiance(capture, min(side, capture.resolution)))
     return np.where(known, light, light.sum(axis=0) / known.sum(axis=0).clip(1)), known

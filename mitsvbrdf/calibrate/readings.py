@@ -1,9 +1,9 @@
-"""How the numbers of a calibration are meant, and whether its photos confirm them.
+"""Readings of a calibration: what its numbers mean, and which reading agrees with the photos.
 
-Nothing in a file says where x and y point, nor in which units lengths and light power are. The photos do.
-Flat texels of one roughness explain the photos roughly under the right reading. Under a wrong one, highlights
-and shading are expected elsewhere, and the error is much larger. Under each reading, each texel's diffuse
-colour and F0, and each photo's gain, are the best ones; the errors that are left are compared.
+A file does not state where x and y point, or the units of lengths and light power. The photos show both. A
+model of flat texels of one roughness explains them roughly if the reading is right. Under a wrong reading,
+the model has highlights and shading elsewhere, and its error is much larger. For each reading, the best
+diffuse colour and F0 of each texel and the best gain of each photo are found. Then errors are compared.
 """
 
 from __future__ import annotations
@@ -30,23 +30,23 @@ Axes = Literal["right-up", "right-down", "left-up", "left-down", "up-right", "up
                "down-left"]
 WAYS = {"right": (1.0, 0.0), "left": (-1.0, 0.0), "up": (0.0, 1.0), "down": (0.0, -1.0)}
 
-READING_SIDE = 16  # pixels a side that are looked at: relief averages out
-LEAST_PHOTOS = 4  # with three, two numbers a texel leave one value free, and wrong readings fitted better
+READING_SIDE = 16  # pixels a side of the averaged photos: relief averages out
+LEAST_PHOTOS = 4  # with three photos and two unknowns a texel, wrong readings fitted better
 ALPHAS = 0.05, 0.1, 0.2, 0.35, 0.6
-DIM = 0.05  # radiance from which on errors count relative to it
-GAINS = 0.8, 1.25  # of a photo, in each of two rounds
-# Error left by another reading, as a share of the error left by the stated one. Of eighteen real captures and
-# twenty known materials with right calibrations the best other reading left 1.3 times as much and more.
+DIM = 0.05  # errors are divided by radiance + DIM
+GAINS = 0.8, 1.25  # limits of the change of a photo's gain in each of two rounds
+# Another reading is better if its error is below this share of the stated reading's. With right calibrations
+# (eighteen real captures, twenty known materials), the best other reading had 1.3 times the error or more.
 CLEARLY = 0.87
-HEIGHTS = 0.4, 20.0  # patch sides; of real captures 1.7 to 4.1. Beyond, a side in another unit is tried
+HEIGHTS = 0.4, 20.0  # patch sides; real captures: 1.7 to 4.1. Outside, a side in another unit is tried
 # Median reflectances (diffuse + F0): unusual below, unusual above, usual. The same materials: 0.02 to 1.0.
 FAINT, BRIGHT, USUAL = 0.005, 3.0, 0.14
-UNITS = 1e-6, 1e-4, 1e-3, 1e-2, 1e2, 1e3, 1e4, 1e6  # factors on light power from other length or power units
+UNITS = 1e-6, 1e-4, 1e-3, 1e-2, 1e2, 1e3, 1e4, 1e6  # of light power, for other units of it or of length
 
 
 @dataclass(frozen=True)
 class Reading:
-    """How the numbers of a calibration are meant.
+    """One meaning of the numbers of a calibration.
 
     Args:
         axes: where x and y of the positions point in the photos.
@@ -54,7 +54,7 @@ class Reading:
         light_factor: factor by which the stated light power is multiplied.
 
     Raises:
-        ConfigError: other axes, or a number out of range.
+        ConfigError: unknown axes, or a number out of range.
     """
 
     axes: Axes = "right-up"
@@ -71,14 +71,14 @@ class Reading:
 
     @classmethod
     def told(cls, options: Mapping) -> Reading:
-        """The reading that some of the options of a command line state."""
+        """The reading stated in the options of a command line, a dict; other options are ignored."""
         return cls(**{each.name: options[each.name] for each in fields(cls) if each.name in options})
 
     def of(self, capture: Capture) -> Capture:
         """The capture with its calibration read like this.
 
         Raises:
-            ConfigError: it has no calibration.
+            ConfigError: the capture has no calibration.
             CaptureError: impossible views, such as cameras too near for the side.
         """
         if self == Reading():
@@ -99,14 +99,14 @@ class Reading:
 
 
 class Doubts(NamedTuple):
-    """What speaks against a calibration, in sentences, and whether its light power is doubted."""
+    """Sentences on how photos contradict a calibration, and whether they contradict its light power."""
 
     said: tuple[str, ...]
     light: bool
 
 
 def mean_radiance(capture: Capture, side: int) -> tuple[Tensor, Tensor]:
-    """Linear grey, float64: means of measured pixels, N x side x side; 0 and False where few are measured."""
+    """Mean linear grey of measured pixels (float64; 0 if half or fewer), and a mask: N x side x side each."""
     means = []
     for row in range(len(capture)):
         grey = color.decode(capture.photo(row).double(), capture.transfer).mean(dim=-1)
@@ -155,9 +155,9 @@ def doubts(capture: Capture) -> Doubts | None:
 
 
 def _left(photos: Tensor, seen: Tensor, views: Views) -> tuple[float, float]:
-    """Mean relative error that the best flat material of one roughness leaves, and its median reflectance.
+    """Mean relative error of the best flat material of one roughness, and its median reflectance where seen.
 
-    Photos are grey radiance, N x R x R; ``seen``: where not clipped. The median is of texels seen.
+    ``photos``: grey radiance, N x R x R. ``seen``: N x R x R, bool, measured and not clipped.
     """
     light, half, irradiance = (x.double() for x in geometry(views, photos.shape[1]))
     bright, up = irradiance.mean(dim=-1) / math.pi, light[..., 2].clamp_min(1e-3)
@@ -178,7 +178,7 @@ def _left(photos: Tensor, seen: Tensor, views: Views) -> tuple[float, float]:
 
 
 def _non_negative(terms: Tensor, goal: Tensor) -> Tensor:
-    """The two weights >= 0 of each texel, R x R x 2, with which terms, N x R x R x 2, add up to the goal."""
+    """Weights >= 0, R x R x 2: the weighted sum of the two terms (N x R x R x 2) is nearest to the goal."""
     curve = torch.einsum("nijp,nijq->ijpq", terms, terms)
     slope = torch.einsum("nijp,nij->ijp", terms, goal)
     own = curve.diagonal(dim1=-2, dim2=-1).clamp_min(1e-30)

@@ -1,15 +1,15 @@
 """Views refined with the maps frozen: where camera and flash stood in each photo, and how much light it got.
 
-Each photo has seven unknowns: how far its camera stood from where the calibration says (x, y, z), how far its
-flash stood from its place beside the camera (x, y, z), and the natural logarithm of its exposure (light
-power, shutter and gain look alike). Levenberg-Marquardt finds the most probable values: Gaussian priors stand
-around the calibration; residuals are in display values, and robust (Huber). Where a photo is clipped, only a
-darker rendering counts. Derivatives are central differences of the float64 analytic renderer.
+Each photo has seven unknowns: the offset of its camera from the calibration (x, y, z), the offset of its
+flash from the place beside the camera (x, y, z), and the natural logarithm of its exposure (light power,
+shutter and gain have the same effect). Levenberg-Marquardt finds the most probable values: Gaussian priors
+are centred on the calibration; residuals are in display values, and robust (Huber). If a pixel is clipped,
+only a darker rendering counts. Derivatives are central differences of the float64 analytic renderer.
 
 Residuals are not independent noise: an error of a map affects all pixels around it. So noise is measured on
-the residuals themselves (:meth:`Problem.evidence`). Without that, photos held out of a real fit moved their
-flash by more than a patch side, to explain errors of the maps; with it, by 0.02. An error of the maps that
-looks like a shift of the highlight is mistaken for such a shift.
+the residuals themselves (:meth:`Problem.evidence`). Without this, the flash of photos held out of a
+real fit moved by more than a patch side, to explain errors of the maps; with it, by 0.02. A map error that
+looks like a shifted highlight still moves the flash.
 """
 
 import math
@@ -38,28 +38,28 @@ from ..views import NEAREST, Views
 
 UNKNOWNS = ("camera_x", "camera_y", "camera_z", "flash_x", "flash_y", "flash_z", "log_exposure")
 CHANGE = Layout(camera=(3,), flash=(3,), log_exposure=())  # the same, as parts
-REFINE_SIDE = 128  # pixels a side that are looked at; larger photos and maps are area-averaged
-# step of the differences, in patch sides: 1e-3 of the sharpest highlight; slopes are exact to 1e-6
+REFINE_SIDE = 128  # most pixels a side; larger photos and maps are area-averaged
+# step of the differences, in patch sides: 1e-3 of a highlight of roughness 0.1; slopes are exact to 1e-6
 STEP = 1e-5
-STEP_FLOAT32 = 1e-4  # where values have the digits of float32
-# residuals beyond so many deviations count linearly: 95 % efficient on normal noise (Huber 1981)
+STEP_FLOAT32 = 1e-4  # for renderers that may compute in float32
+# residuals above this many standard deviations count linearly: 95 % efficient on normal noise (Huber 1981)
 HUBER = 1.345
-BLOCKS = 8  # blocks a side; averages over these show how far residuals are correlated
-ITERATIONS, SETTLED = 30, 1e-2  # most steps; a step below so many prior standard deviations ends the search
+BLOCKS = 8  # blocks a side; averages over these show the correlation of residuals
+ITERATIONS, SETTLED = 30, 1e-2  # most steps; a step below this many prior standard deviations is the last
 
 
 @dataclass(frozen=True)
 class Priors:
-    """How far a calibration may be off: standard deviations, in patch sides. 0 holds a number fixed.
+    """Standard deviations of a calibration, in patch sides. 0: the number is not refined.
 
     Args:
-        camera: (x, y, z) of each photo's camera; the flash moves along. Captures whose calibration could be
-            checked were right to 0.003 sideways and to 1 to 3 % of their 1.8 sides of height. For other
-            captures, the default is ten times that sideways.
-        flash: (x, y, z) of each photo's flash from its place beside the camera: highlight centres of real
-            captures lie within 0.01 to 0.03 of what one flash offset for all photos predicts.
+        camera: (x, y, z) of each photo's camera; the flash moves with it. Calibrations that could be
+            checked were right to 0.003 sideways, and to 1 to 3 % of the height of 1.8 sides. For other
+            captures, the default is ten times as much sideways.
+        flash: (x, y, z) of each photo's flash from its place beside the camera. In real captures, one flash
+            offset for all photos predicts the highlight centres to within 0.01 to 0.03.
         exposure: natural logarithm; an automatic exposure or flash varies by about 10 %.
-        common_flash: (x, y) of one more offset of the flash, the same in all photos; a phone's flash is up to
+        common_flash: (x, y) of a second offset of the flash, the same in all photos; a phone's flash is up to
             0.25 beside its lens.
     """
 
@@ -76,10 +76,10 @@ class Priors:
                               "give 0 to hold a number fixed")
 
 
-# Priors of views that a fit refines together with its maps, by the source of the views. A phone is some two
-# patch sides away: a sheet tells its place to 0.3 % of that, features of the photos to 2 to 3 %. "none" is
-# for views estimated from rectified photos: highlights told the places, and the estimate has settled distance
-# and strength of the flash, which maps would only undo.
+# Source of views -> priors with which a fit refines them together with its maps. A phone is about two patch
+# sides away. A sheet determines its place to 0.3 % of that, features of the photos to 2 to 3 %. "none": views
+# were estimated from rectified photos, their places from highlights. The estimate has determined distance and
+# strength of the flash, too; refining must not undo it.
 PRIORS: dict[Calibration, Priors] = {
     "given": Priors(camera=(0.01, 0.01, 0.02), flash=(0.01, 0.01, 0.01), exposure=0.03,
                     common_flash=(0.15, 0.15)),
@@ -93,12 +93,12 @@ PRIORS: dict[Calibration, Priors] = {
 
 @dataclass(frozen=True)
 class RefinedViews:
-    """Refined views, what changed, and how sure that is."""
+    """Refined views, their change, and its covariance."""
 
-    views: Views  # the refined views, in the unit of those given
-    change: Tensor  # N x 7, by UNKNOWNS: patch sides, and the logarithm of the exposure
+    views: Views  # the refined views, in the unit of the given ones
+    change: Tensor  # N x 7, columns UNKNOWNS: patch sides; last, the logarithm of the exposure
     covariance: Tensor  # of each photo's change, N x 7 x 7
-    common_flash: Tensor  # (x, y) of the part of the flash's change that all photos share
+    common_flash: Tensor  # (x, y): the part of the flash's change that all photos share
     common_covariance: Tensor  # its covariance, 2 x 2
     iterations: int  # steps tried
 
@@ -116,7 +116,7 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
 
     Args:
         svbrdf: the material, which stays as it is; any resolution.
-        views: the N views to start from, around which the priors stand, such as the capture's.
+        views: the N views to start from; the centre of the priors. For example the capture's.
         capture: the N photos.
         start: changes N x 7 from which the search begins, such as those found with earlier maps; default: 0.
         renderer: one that omits nothing; default: the analytic one, in float64.
@@ -125,7 +125,7 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
         A local optimum: a rendered highlight moves to the photo's highlight only if both overlap.
 
     Raises:
-        CaptureError: not as many views as photos.
+        CaptureError: the numbers of views and photos differ.
     """
     problem = Problem(svbrdf, views, capture, priors, renderer)
     change = torch.zeros(len(views), len(UNKNOWNS)).double() if start is None else start
@@ -146,7 +146,7 @@ def refine_views(svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors 
 
 
 def moved(views: Views, change: Tensor) -> Views:
-    """Views with changes N x 7, by :data:`CHANGE`."""
+    """The views after changes N x 7, columns as in :data:`CHANGE`."""
     parts = CHANGE.unpack(change)
     camera, flash = parts.camera * views.size, parts.flash * views.size
     return replace(views, camera=views.camera + camera, light=views.light + camera + flash,
@@ -168,8 +168,8 @@ class Problem:
 
     ``spread @ u`` gives the changes of all photos. ``whitened`` is the layout of u: ``own`` has a number for
     each unknown of each photo, ``common_flash`` the offset of the flash that all photos share. The cost is
-    |u|^2 / 2 plus, for each photo, the sum of Huber's function of residuals over noise, divided by the number
-    of pixels that count as one.
+    |u|^2 / 2 plus, for each photo, the sum of Huber's function of residual / noise, divided by the number of
+    pixels that count as one.
     """
 
     def __init__(self, svbrdf: SVBRDF, views: Views, capture: Capture, priors: Priors,
@@ -186,14 +186,14 @@ class Problem:
         self.photos, most = (torch.cat(pooled).permute(0, 2, 3, 1) for pooled in zip(*(
             (F.adaptive_avg_pool2d(photo, side), F.adaptive_max_pool2d(photo, side))
             for photo in (capture.photo(row)[None].double().permute(0, 3, 1, 2) for row in range(count)))))
-        self.clipped = most >= CLIPPED  # pixels that are clipped in part, too
+        self.clipped = most >= CLIPPED  # also pixels that are clipped in part
         self.measured = capture.measured_at(side)
         if self.measured is not None:
             self.clipped |= ~self.measured[..., None]
-        # Needs() asks for everything, because light and camera move apart.
+        # Needs() omits nothing: light and camera move apart.
         self.renderer = renderer or AnalyticRenderer(torch.float64, Needs())
         self.step = STEP_FLOAT32 if renderer else STEP
-        self.at_once = None if renderer else count  # the analytic renderer holds much of each view
+        self.at_once = None if renderer else count  # the analytic renderer needs much memory for a view
         self.whitened = Layout(own=(count, CHANGE.size), common_flash=(2,))
         own = CHANGE.pack(camera=priors.camera, flash=priors.flash, log_exposure=priors.exposure)
         self.shared = torch.zeros(2, self.whitened.size, dtype=torch.float64)
@@ -205,16 +205,16 @@ class Problem:
                        + to_flash.repeat(count, 1) @ self.shared)
 
     def drawn(self, views: Views) -> Tensor:
-        """Radiance ? x R x R x 3, float64, of any number of views."""
+        """Radiance V x R x R x 3, float64, of V views."""
         each = torch.arange(len(views)).split(self.at_once or len(views))
         return torch.cat([self.renderer.render(self.maps, views.pick(part)).double() for part in each])
 
     def change(self, u: Tensor) -> Tensor:
-        """Changes N x 7, by :data:`UNKNOWNS`."""
+        """Changes N x 7, columns :data:`UNKNOWNS`."""
         return (self.spread @ u).reshape(-1, len(UNKNOWNS))
 
     def residuals(self, radiance: Tensor) -> Tensor:
-        """Display values minus the photos', N x R x R x 3; 0 where masked, or a clipped value is reached."""
+        """Rendered minus photos' display values, N x R x R x 3; 0 if masked, or if clipped and not darker."""
         error = color.encode(radiance, self.transfer) - self.photos
         error = torch.where(self.clipped, error.clamp_max(0), error)
         return error if self.measured is None else error * self.measured[..., None]
@@ -223,8 +223,8 @@ class Problem:
         """Noise of each photo's residuals, and how many of them count as one: both N x 1 x 1 x 1.
 
         The noise is 1.48 times the median size of the residuals (the standard deviation, if they were
-        normal). For independent residuals, the mean square of averages over blocks of m is 1 / m of that of
-        single ones. The factor by which it is larger here is the number that counts as one.
+        normal). For independent residuals, averages over blocks of m have 1 / m of the mean square of single
+        residuals. The factor by which theirs is larger is the number that counts as one.
         """
         sizes = torch.where(self._bright_enough(error), torch.nan, error.abs()).flatten(1)
         noise = (sizes.nanmedian(dim=1).values.nan_to_num(0) * 1.4826).clamp_min(QUANTIZATION_NOISE).reshape(

@@ -1,10 +1,10 @@
 """From photographs to a :class:`Capture`: photos of one patch, rectified, with their views.
 
-``read`` takes a folder. ``calibrated`` makes the capture where the folder states a calibration, ``stages``
-where it holds raw photos: lens and poses (``align``, a ``rig``), rectified photos (``rectify``), flash,
-vignetting and exposures (``light``), bad photos rejected (``quality``). ``guess`` makes a first diffuse map.
+``read`` reads a folder. ``calibrated`` makes the capture of a folder with a calibration, ``stages`` that of
+raw photos. ``stages`` finds lens and poses (``align``, ``rig``), rectifies (``rectify``), finds flash,
+vignetting and exposures (``light``), and rejects bad photos (``quality``). ``guess`` makes a diffuse map.
 
-The public names are loaded on first use: the sheet of tags needs no torch.
+The public names are loaded on first use, so that the sheet of tags needs no torch.
 """
 
 import importlib

@@ -37,7 +37,7 @@ from .rectify import filled
 from .sharpness import CLEARLY, MOST_PHOTOS, carried, middle
 from .turned import SIDE, laid_alike
 
-NUMBER = Annotated[float, Meta(ge=-1e300, le=1e300)]  # this refuses NaN, too
+NUMBER = Annotated[float, Meta(ge=-1e300, le=1e300)]  # NaN is invalid, too
 ROW = Annotated[list[NUMBER], Meta(min_length=3, max_length=3)]
 ROWS = Annotated[list[ROW], Meta(min_length=1)]
 COLOURS = dict[str, Converted]
@@ -47,7 +47,7 @@ STATED = "target_dir", "camera_pos", "light_pos", "light_pow", "im_size", "idx"
 
 
 def stated_in(folder: Path) -> Path | None:
-    """The JSON file in a folder that states views of its photos, or None; CaptureError: some differ."""
+    """The JSON file with the views of a folder's photos, or None. CaptureError: several files differ."""
     found: dict[Path, list] = {}
     for path in sorted(folder.glob("*.json")):
         with contextlib.suppress(OSError, ValueError, TypeError):  # a file without these keys, or no JSON
@@ -62,7 +62,7 @@ def stated_in(folder: Path) -> Path | None:
 
 
 def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
-    """The capture of a ``capture.json``; without ``camera_pos``, of default views. CaptureError: a fault."""
+    """Read a ``capture.json``. Without ``camera_pos``: default views. CaptureError: invalid content."""
     try:
         stated = load(path)
     except (OSError, ValueError) as reason:
@@ -102,7 +102,7 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
     elif max(index) >= len(camera) and not uncalibrated:
         raise CaptureError(f"{max(index) + 1} rows of camera_pos, as idx names photo {max(index)}",
                            f"{len(camera)} rows in {path}", "give one row a photo, or shorten idx")
-    # without idx, rows are those of the photos in order; without camera_pos, all rows are alike
+    # without idx, there is one row per photo, in order; without camera_pos, all rows are equal
     rows = range(len(index or photos)) if index is None or uncalibrated else index
     views = _views(camera, light, stated["light_pow"], size, falloff, str(path)).pick(rows)
     index = list(photos) if index is None else index
@@ -112,7 +112,7 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
 
 
 def _assumed(stated: dict, path: Path, rows: int) -> dict:
-    """Keys of the default geometry for a capture without ``camera_pos``, in its unit of length."""
+    """Keys for a capture without ``camera_pos``: the default geometry, in the capture's unit of length."""
     beside = [key for key in ("light_pos", "light_pow") if key in stated]
     if beside:
         raise CaptureError("the key 'camera_pos' beside light_pos and light_pow",
@@ -125,7 +125,7 @@ def _assumed(stated: dict, path: Path, rows: int) -> dict:
 
 
 def from_text(folder: Path, falloff: Falloff, resolution: int | None) -> Capture:
-    """The capture of a folder with MaterialGAN's text files beside its photos; CaptureError: a fault."""
+    """Read a folder with photos and MaterialGAN's text files. CaptureError: invalid content."""
     photos = _numbered(folder)
     camera = _stated(_table(folder / "camera_pos.txt"), ROWS, str(folder / "camera_pos.txt"))
     _same_count(str(folder / "camera_pos.txt"), len(camera), len(photos))
@@ -147,7 +147,7 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
                 told: dict[str, Converted] | None = None) -> Capture:
     """The capture of these photos. Each is decoded, and shrunk or kept as stored, before the next one.
 
-    ``told``: the conversions to sRGB that the calibration file states.
+    ``told``: the conversions to sRGB stated in the calibration file.
     """
     headers = [header(path, CaptureError) for path in paths]
     side = _common_side(paths, [each.size for each in headers], source)
@@ -185,7 +185,7 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
 
 
 def _common_side(paths: list[Path], sizes: list[tuple[int, int]], source: Path) -> int:
-    """Pixels a side of photos that are square and all of one size."""
+    """Pixels a side of the photos. CaptureError: photos too small, not square, or of different sizes."""
     for path, (width, height) in zip(paths, sizes):
         if min(width, height) < LEAST_SIDE:
             raise CaptureError(f"photos of {LEAST_SIDE} pixels or more a side",
@@ -201,7 +201,7 @@ def _common_side(paths: list[Path], sizes: list[tuple[int, int]], source: Path) 
 
 
 def _numbered(folder: Path) -> dict[int, Path]:
-    """The photos NN.png or NN.jpg of a folder by their number, in order."""
+    """The numbered photos of a folder (00.png, 01.jpg, ...): a sorted dict, number to path."""
     paths: dict[int, Path] = {}
     found = files_of(folder, PLAIN + HEIC)
     if others := [path.name for path in found if path.stem[0].isdecimal() > path.stem.isdecimal()]:
@@ -220,7 +220,7 @@ def _numbered(folder: Path) -> dict[int, Path]:
 
 
 def _views(camera: list, light: list, power: Any, size: float, falloff: Falloff, where: str) -> Views:
-    """Views, after a check that the counts agree; each error names the file."""
+    """Make views. CaptureError, with the file's name: different numbers of rows, or invalid values."""
     power = _power(power, len(camera), f"light_pow in {where}")
     _same_count(f"light_pos in {where}", len(light), len(camera), "cameras")
     try:
@@ -230,7 +230,7 @@ def _views(camera: list, light: list, power: Any, size: float, falloff: Falloff,
 
 
 def _power(value: Any, count: int, where: str) -> float | list:
-    """A light's intensity as a number, three numbers, or ``count`` rows of three."""
+    """Check a light's intensity: a number, three numbers, or 1 or ``count`` rows of three."""
     if not isinstance(value, list):
         return _stated(value, NUMBER, where)
     if not value or not isinstance(value[0], list):
@@ -247,7 +247,7 @@ def _same_count(what: str, rows: int, wanted: int, of: str = "photos") -> None:
 
 
 def _stated(value: Any, shape: Any, where: str) -> Any:
-    """Numbers of a calibration, converted to the type ``shape``, as floats."""
+    """A value of a calibration, converted to the type ``shape``. CaptureError: it has another form."""
     try:
         return msgspec.convert(value, shape)
     except msgspec.ValidationError as reason:
@@ -256,7 +256,7 @@ def _stated(value: Any, shape: Any, where: str) -> Any:
 
 
 def _table(path: Path) -> list[list[float]]:
-    """The numbers of a text file, row by row, separated by commas or blanks; ``#`` begins a remark."""
+    """The rows of numbers in a text file. Commas or blanks separate numbers; ``#`` begins a comment."""
     if not path.is_file():
         raise CaptureError(path.name, f"no such file in {path.parent}", "add it, or remove camera_pos.txt")
     try:

@@ -1,4 +1,4 @@
-"""The capture value type: rectified photos of one patch, their views, and their conversions of colours."""
+"""The type Capture: rectified photos of one patch, their views, and how their colours were converted."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from ..views import Views, whole_numbers
 
 @dataclass(frozen=True)
 class Converted:
-    """Photos of one profile, converted to sRGB: their number, and their share of pixels outside of sRGB."""
+    """Photos converted from one profile to sRGB: their number, and the share of pixels outside of sRGB."""
 
     photos: int
     outside: float
 
 
 def converted(stated: Mapping[str, Profile | None], outside: Mapping[str, float]) -> dict[str, Converted]:
-    """The conversions, by name of the profile, of the photos in ``outside`` (share of pixels by photo name).
+    """A dict, profile name to conversion, of the photos in ``outside`` (photo name to share outside of sRGB).
 
     InputWarning: a profile that cannot be used.
     """
@@ -50,14 +50,14 @@ def converted(stated: Mapping[str, Profile | None], outside: Mapping[str, float]
 
 
 def notes_of(colours: Mapping[str, Converted]) -> list[str]:
-    """A line for each profile."""
+    """One note for each profile."""
     return [f"{found.photos} photo{'s' * (found.photos > 1)} of colour profile {name}: converted to sRGB; "
             f"{found.outside:.2%} of the pixels lie outside of sRGB and were moved to its edge"
             for name, found in colours.items()]
 
 
 def used_transfer(transfer: Transfer, profiles: Collection[str]) -> tuple[Transfer, list[str]]:
-    """The transfer function to use, and a note: values converted from profiles are sRGB, not linear."""
+    """The transfer function to use, and notes. Values converted from a profile are sRGB, never linear."""
     if transfer != "linear" or not profiles:
         return transfer, []
     return "srgb", [f"transfer srgb is used, not linear: the photos state the profile {', '.join(profiles)}, "
@@ -66,15 +66,15 @@ def used_transfer(transfer: Transfer, profiles: Collection[str]) -> tuple[Transf
 
 LEAST_SIDE = 8  # pixels
 MOST_HELD = 500_000_000  # pixels of all photos of a capture together, after shrinking: 6 GB
-KEPT = torch.uint8, torch.uint16  # types of photos that are kept as stored; others become float32
-SINGLE = 32  # single pixels a side that a shrunk photo keeps of the original
+KEPT = torch.uint8, torch.uint16  # photos of these types are kept as stored; others become float32
+SINGLE = 32  # pixels a side that are kept, not averaged, when a photo is shrunk
 
 # source of the views: the maker of the capture, a sheet of tags, features that raw photos share, or none
 Calibration = Literal["given", "sheet", "photos", "none"]
 
 
 class _Photos:
-    """Photos as float32 display values, whatever type they are kept in."""
+    """A descriptor: each access converts the stored photos to float32 display values."""
 
     def __get__(self, capture: Capture | None, _: type | None = None) -> Tensor:
         if capture is None:
@@ -98,17 +98,17 @@ class Capture:
         calibration: where the views come from; ``none``: the default geometry, or views estimated from it.
         source: the folder that the capture came from.
         notes: what a user should know about how it was read (rejected photos, default geometry, ...).
-        colours: conversions to sRGB, by the name of the photos' colour profile.
-        measured: N x R x R, False where a photo is filled in (masked, or beyond its edge); None: nowhere.
+        colours: conversions to sRGB: a dict, name of a colour profile to its conversion.
+        measured: N x R x R, False where a photo is filled in (masked, or beyond its edge); None: all True.
         carries: resolution of the detail in the photos before they were shrunk, pixels a side
             (:mod:`.sharpness`); None: not measured.
         single: N x P x P x 3, single pixels of the photos before they were shrunk (:func:`single_pixels`);
             None: they were not shrunk.
 
     Raises:
-        CaptureError: photos of another shape or with values that no photo has; not one view and one number
-            for each photo; views that :meth:`Views.check` refuses; ``measured`` that is no mask.
-        ConfigError: another transfer function or calibration.
+        CaptureError: photos of a wrong shape or with impossible values; views or an ``index`` that do not
+            match the photos; views that fail :meth:`Views.check`; ``measured`` that is no mask.
+        ConfigError: an unknown transfer function or calibration.
     """
 
     photos: Tensor
@@ -193,7 +193,7 @@ class Capture:
         return replace(self, **{"photos": self.stored, **changes})
 
     def through(self, transfer: color.Transfer | None) -> Capture:
-        """The capture with the curve that a fit found (``transfer``), if both have the same response."""
+        """The capture with a fit's ``transfer`` (response and curve), if both have the same response."""
         if transfer in (None, self.transfer) or color.parts(transfer)[0] != color.parts(self.transfer)[0]:
             return self
         return self.but(transfer=transfer)
@@ -205,7 +205,7 @@ class Capture:
         return below if self.measured is None else below & self.measured[..., None]
 
     def measured_at(self, resolution: int) -> Tensor | None:
-        """:attr:`measured` at another size: an average is measured if all of its pixels are."""
+        """:attr:`measured` at another size: True where all averaged pixels are measured."""
         hidden = None if self.measured is None else (~self.measured[..., None]).float()
         return None if hidden is None else area_averaged(hidden, resolution)[..., 0] == 0
 
@@ -219,7 +219,7 @@ class Capture:
                        single=self.single_at(resolution))
 
     def single_at(self, resolution: int) -> Tensor | None:
-        """:attr:`single` as it is after the photos are shrunk to this size."""
+        """The :attr:`single` pixels of the capture once it is shrunk to this size."""
         if self.single is not None or resolution == self.resolution:
             return self.single
         return torch.stack([single_pixels(photo, resolution) for photo in self.stored])
@@ -231,7 +231,7 @@ class Capture:
 
     @kinds_checked
     def sampled(self, resolution: int) -> Capture:
-        """Every k-th pixel of the photos, for the greatest k that leaves ``resolution`` or more a side."""
+        """Every k-th pixel of photos; k is the largest that leaves ``resolution`` pixels a side or more."""
         if resolution < 1:
             raise ConfigError("a resolution of 1 or more", str(resolution), "choose a larger one")
         photos = color.shown(sampled(self.stored.movedim(-1, 1), resolution))
@@ -239,7 +239,7 @@ class Capture:
                        measured=None if self.measured is None else sampled(self.measured, resolution))
 
     def pick(self, index: Sequence[int]) -> Capture:
-        """The photos of these numbers (:attr:`index`), in this order. CaptureError: none, others, twice."""
+        """Photos with these numbers (:attr:`index`), in order. CaptureError: none, unknown or repeated."""
         index = whole_numbers(index)
         missing = [i for i in index if i not in self.index]
         if missing or not index:
@@ -253,14 +253,14 @@ class Capture:
 
 
 def check_held(photos: int, side: int, source: Path) -> None:
-    """Raise ConfigError where so many photos, once shrunk to ``side`` pixels a side, are too many pixels."""
+    """Raise ConfigError if ``photos`` photos, ``side`` pixels a side, have too many pixels together."""
     if (held := photos * side**2) > MOST_HELD:
         raise ConfigError(f"photos of at most {MOST_HELD / 1e6:.0f} megapixels together",
                            f"{held / 1e6:.0f} in {source}", "read them at a lower resolution")
 
 
 def single_pixels(picture: Any, resolution: int) -> Any:
-    """The middle pixels (to half a pixel) of P x P equal squares of a square picture: P x P x 3."""
+    """Pixels at the centres (to half a pixel) of P x P equal squares of a square picture: P x P x 3."""
     count = min(SINGLE, resolution)
     at = [(2 * k + 1) * len(picture) // (2 * count) for k in range(count)]
     return picture[at][:, at]
@@ -270,7 +270,7 @@ Capture.photos = _Photos()  # type: ignore[assignment,misc]
 
 
 def _checked(photos: Tensor) -> Tensor:
-    """Photos as float32, or as stored in 8 or 16 bits; CaptureError: a shape or values that no photo has."""
+    """Photos as float32, or as stored in 8 or 16 bits. CaptureError: a wrong type, shape or value."""
     if not isinstance(photos, Tensor) or not (photos.is_floating_point() or photos.dtype in KEPT):
         raise CaptureError("photos as a float tensor", repr(getattr(photos, "dtype", type(photos).__name__)),
                            "give display values in [0, 1]: 8 bits divided by 255")

@@ -1,4 +1,4 @@
-"""The guessed diffuse map: what a few photos say about the diffuse colour before any fit (paper, III.C)."""
+"""The guessed diffuse map: an estimate from the photos alone, before any fit (paper, III.C)."""
 
 import math
 from typing import Literal, get_args
@@ -20,15 +20,15 @@ from .capture import Capture
 GuessMethod = Literal["robust", "min", "mean-blur"]
 BLUR = 1 / 32  # standard deviation of mean-blur, as a share of the image side
 
-# The numbers of a texel of `robust`: slopes of its normal, width and strength of its lobe, and its albedo.
+# The unknowns of a texel in `robust`: slopes of its normal, width and strength of its lobe, and its albedo.
 TEXEL = Layout(tilt=(2,), log_alpha=(), log_f0=(), log_albedo=())
-# prior standard deviations of these from the typical ones; nothing is known of the albedo beforehand
+# standard deviations of the prior on these, around the typical texel; the albedo has no prior
 SURFACE_SD = torch.tensor((0.5, 0.5, 0.5, 1.0, torch.inf))
 # two starts: a dielectric, and a surface with almost no highlight
 STARTS = [{"log_alpha": math.log(0.3), "log_f0": math.log(f0)} for f0 in (0.04, 0.001)]
 DISPLAY, BLACK = 0.4, 1e-4  # a display value is about (albedo + BLACK)^DISPLAY
-NOISE = 0.03  # standard deviation of a display value, by the photo, the calibration and this model
-# start values of each slope of the normal: a fit that starts flat sticks to a wrong highlight
+NOISE = 0.03  # standard deviation of a display value; errors of photo, calibration and this model
+# start values of each slope of the normal: a fit that starts flat gets stuck at a wrong highlight
 TILTS = (-0.6, -0.3, 0.0, 0.3, 0.6)
 STEPS = 8
 DELTA = 1e-3  # step of the finite differences
@@ -43,22 +43,22 @@ def guess_diffuse(capture: Capture, method: GuessMethod = "robust") -> Tensor:
     Args:
         capture: N >= 1 photos of R x R pixels.
         method:
-            ``min``: the paper's (III.C, after Peter and Hannes 2015): the minimum radiance over the photos,
-            for each pixel and channel, no falloff correction; one constant turns radiance L into albedo, pi L
-            / E, with E the mean irradiance at the patch centre.
-            ``mean-blur``: the baseline (III.C; Zhao 2020, Aittala 2016): the mean radiance over the photos,
-            blurred by a Gaussian of R / 32; the same constant.
-            ``robust``: ours: falloff and cosine undone; one tilted, rough, grey highlight fitted to each
-            texel's few values and subtracted; then the median over the photos, without clipped pixels.
-            Its diffuse RMSE on six known materials is 0.048, that of ``min`` 0.085. It has a weakness: where
-            no photo shows a texel far from its highlight, or the calibration is off, broad highlights take
-            colour from the diffuse map (real bamboo, red plastic).
+            ``min``: the paper's method (III.C, after Peter and Hannes 2015): L is the minimum radiance over
+            the photos, for each pixel and channel, without correction of falloff. The albedo is pi L / E; E
+            is the mean irradiance at the patch centre.
+            ``mean-blur``: the baseline (III.C; Zhao 2020, Aittala 2016): L is the mean radiance over the
+            photos, blurred by a Gaussian of standard deviation R / 32. The albedo is pi L / E, too.
+            ``robust``: our method. It divides by falloff and cosine. It fits one grey highlight with tilt and
+            roughness to each texel, and subtracts it. The result is the median over photos, without clipped
+            pixels. Its diffuse RMSE on six known materials is 0.048, that of ``min`` 0.085. Weakness: if all
+            photos show a texel near its highlight, or the calibration is wrong, part of the diffuse colour is
+            mistaken for a broad highlight (real bamboo, red plastic).
 
     Returns:
         R x R x 3 float32, linear, in [0, 1], finite.
 
     Raises:
-        ConfigError: another method.
+        ConfigError: an unknown method.
     """
     if method not in get_args(GuessMethod):
         raise ConfigError(f"a guess of {get_args(GuessMethod)}", repr(method), "choose one of these")
@@ -76,7 +76,7 @@ def over(value: Tensor, irradiance: Tensor) -> Tensor:
 
 
 def _blurred(image: Tensor) -> Tensor:
-    """H x W x 3 under a Gaussian blur that repeats the border."""
+    """An image, H x W x 3, blurred by a Gaussian; the border is repeated outwards."""
     sigma = max(1e-3, BLUR * image.shape[0])
     return torch.from_numpy(gaussian_filter(image.numpy(), (sigma, sigma, 0), mode="nearest", truncate=3))
 
@@ -87,14 +87,14 @@ def _robust(capture: Capture) -> Tensor:
     most = over(torch.tensor(math.pi), irradiance)  # apparent albedo of a clipped pixel
     albedo = averaged_rows(lambda rows: _apparent(capture, rows).mean(dim=-1, keepdim=True),
                            capture.resolution, size)
-    # which photos show each texel; all, where none does
+    # which photos show each texel; all of them if none does
     shows = None if capture.measured is None else (capture.measured | ~capture.measured.any(dim=0))[..., None]
     known = (torch.ones_like(most[..., :1]) if shows is None
              else (resized((~shows).float(), size) == 0).float())
     texels = [known, _display(albedo), most.mean(-1, True), light, half]
     texels = [x.permute(3, 0, 1, 2).flatten(2).squeeze(0) for x in texels]  # N x M or 3 x N x M
     threads = torch.get_num_threads()
-    torch.set_num_threads(1)  # more threads save a third at most on small chunks, or take 50 times as long
+    torch.set_num_threads(1)  # more threads save a third of the time at most, or take 50 times as long
     try:
         prior = _typical(*(x[..., :: -(-size**2 // CHUNK)].contiguous() for x in texels))
         fitted = [_shade(_fit(prior, *part), *part[3:]) for part in zip(
@@ -116,7 +116,7 @@ def _robust(capture: Capture) -> Tensor:
 
 
 def _apparent(capture: Capture, rows: slice) -> Tensor:
-    """The albedo of a flat Lambertian that looks like these rows of the photos, N x ? x R x 3."""
+    """The apparent albedo (as if flat and Lambertian) in some rows of the photos: N x rows x R x 3."""
     irradiance = geometry(capture.views, capture.resolution, rows)[2]
     return over(math.pi * color.decode(color.shown(capture.stored[:, rows]), capture.transfer), irradiance)
 
@@ -124,7 +124,7 @@ def _apparent(capture: Capture, rows: slice) -> Tensor:
 def _shade(texels: Tensor, light: Tensor, half: Tensor) -> tuple[Tensor, Tensor]:
     """The cosine and the GGX lobe of M texels in N views, divided by the cosine of a flat texel: N x M each.
 
-    The lobe takes n.l = n.v = n.h, exact for a light at the camera.
+    The lobe assumes n.l = n.v = n.h, which is exact if the light is at the camera.
     """
     tilt_x, tilt_y, log_alpha, log_f0, _ = texels
     length = (1 + tilt_x**2 + tilt_y**2).sqrt()
@@ -145,7 +145,7 @@ def _errors(texels: Tensor, known: Tensor, display: Tensor, most: Tensor, light:
 
 def _slopes(texels: Tensor, errors: Tensor, known: Tensor, display: Tensor, most: Tensor, light: Tensor,
             half: Tensor) -> Tensor:
-    """Derivatives of the errors, 5 x N x M; those by tilt and width are finite differences."""
+    """Derivatives of the errors, 5 x N x M. For tilt and width, they are finite differences."""
     (shading, lobe), albedo = _shade(texels, light, half), texels[4].exp()
     level = albedo * shading
     said = level + lobe
@@ -161,12 +161,12 @@ def _display(albedo: Tensor) -> Tensor:
 
 
 def _cost(errors: Tensor, texels: Tensor, prior: Tensor) -> Tensor:
-    """The cost of M texels: squared errors, and squared deviations of their surface from a prior."""
+    """The cost of M texels: squared errors plus squared deviations of the texels from the prior."""
     return errors.square().sum(dim=0) + (SURFACE_SD**-2 @ (texels - prior).square())
 
 
 def _typical(*seen: Tensor) -> Tensor:
-    """The typical parameters of the material: medians of fitted texels, from the start of lower mean cost."""
+    """Parameters of a typical texel: medians of fitted texels, from the start with the lower mean cost."""
     found = []
     for start in STARTS:
         prior = _surface(**start)
@@ -174,18 +174,18 @@ def _typical(*seen: Tensor) -> Tensor:
             texels = _fit(prior, *seen)
             cost = _cost(_errors(texels, *seen), texels, prior).mean()
             prior = texels.median(dim=1, keepdim=True).values
-            prior[TEXEL["tilt"]] = 0  # a patch is level
+            prior[TEXEL["tilt"]] = 0  # the patch as a whole is flat
         found.append((float(cost), prior))
     return min(found, key=lambda pair: pair[0])[1]
 
 
 def _surface(**parts: ArrayLike) -> Tensor:
-    """A texel by its parts, 5 x 1, float32. Default of a part: 0."""
+    """One texel from its named parts, 5 x 1, float32; missing parts are 0."""
     return torch.from_numpy(TEXEL.pack(**parts)).float()[:, None]
 
 
 def _fit(prior: Tensor, *seen: Tensor) -> Tensor:
-    """5 x M fitted texels by Levenberg-Marquardt from the best of some tilts."""
+    """Fit M texels by Levenberg-Marquardt, each from the best of several tilts: 5 x M."""
     least = torch.where(seen[0] > 0, seen[1], torch.inf).amin(dim=0) ** (1 / DISPLAY) - BLACK
     starts = [(prior + _surface(tilt=(x, y))).repeat(1, len(least)) for x in TILTS for y in TILTS]
     for start in starts:

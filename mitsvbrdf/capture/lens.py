@@ -1,9 +1,9 @@
-"""A phone: its lens, its flash, and where it stood; from points of the plane to pixels and back.
+"""A phone's lens, flash and pose; projection from points of the plane to pixels, and back.
 
 Frames: the plane of the material is z = 0 of the world (x right, y up, z toward the camera,
-docs/conventions.md). A camera looks along its own +z, with x to the right and y down of the stored pixels
-(OpenCV's axes); pixels are (column, row) with whole numbers at pixel centres. Stored pixels are those of the
-file before any EXIF orientation is applied: turning the phone turns its pose, never its lens or its flash.
+docs/conventions.md). A camera looks along its own +z, with x to the right and y down in the stored pixels
+(OpenCV's axes). Pixels are (column, row) with whole numbers at pixel centres. Stored pixels are those of the
+file before any EXIF orientation is applied: turning the phone changes its pose, never its lens or its flash.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ class Lens:
     size: tuple[int, int]  # width and height of the photos in pixels
     focal: float  # focal length in pixels
     centre: tuple[float, float] | None = None  # principal point in pixels; None: the middle of the photo
-    # k1, k2 of Brown and Conrady's radial model (OpenCV's first two), at 0 a pinhole
+    # k1, k2 of Brown and Conrady's radial model (OpenCV's first two); 0: no distortion
     distortion: tuple[float, float] = (0.0, 0.0)
-    # v1, v2: radiance arrives as 1 + v1 r^2 + v2 r^4, r = 1 at half the photo's diagonal from the middle
+    # v1, v2: the lens transmits 1 + v1 r^2 + v2 r^4 of the light; r is 0 in the middle, 1 in the corners
     vignetting: tuple[float, float] = (0.0, 0.0)
-    # where the flash is, in camera axes and the world's unit of length; (0, 0, 0) is in the lens
+    # position of the flash in camera axes, in the world's unit of length; (0, 0, 0): at the lens
     flash: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
     @property
@@ -63,22 +63,22 @@ class Lens:
 
 
 def field_of_view(focal_35mm: float, width: int, height: int) -> float:
-    """Degrees across the long side, by the 35 mm equivalent focal length (equal diagonals, 43.27 mm)."""
+    """Degrees across the long side, from the 35 mm equivalent focal length (for a diagonal of 43.27 mm)."""
     focal = focal_35mm / math.hypot(36, 24) * math.hypot(width, height)
     return math.degrees(2 * math.atan(max(width, height) / 2 / focal))
 
 
 def expected_lens(size: tuple[int, int], focal_35mm: Sequence[float]) -> Lens:
-    """A pinhole lens as EXIF states it: the median of the photos' 35 mm equivalent focal lengths.
+    """A pinhole lens with the median of the photos' 35 mm equivalent focal lengths (EXIF).
 
-    Without any, :data:`~mitsvbrdf.views.FIELD_OF_VIEW` is assumed.
+    If no photo has one, the field of view is :data:`~mitsvbrdf.views.FIELD_OF_VIEW`.
     """
     angle = field_of_view(float(np.median(focal_35mm)), *size) if len(focal_35mm) else FIELD_OF_VIEW
     return Lens(size, max(size) / 2 / math.tan(math.radians(angle) / 2))
 
 
 def unsure_note(share: float) -> str:
-    """What a user should know of a focal length that may be off by this share."""
+    """A note for the user: the focal length may be wrong by this share."""
     return (f"the focal length is uncertain by {share:.1%}, and so are the heights of the cameras: the "
             "photos are too few or too much alike; a few more, taken from the side, settle it")
 
@@ -105,11 +105,11 @@ class Pose:
         return Pose(self.position[index], self.rotation[index])
 
     def flash(self, lens: Lens) -> Array:
-        """Where the flash was in the world, 3."""
+        """Position of the flash in the world, 3."""
         return self.position + self.rotation.T @ np.asarray(lens.flash)
 
     def upside_down(self) -> Pose:
-        """The pose of the photo after a turn by 180 degrees."""
+        """The pose turned by 180 degrees about the camera's axis."""
         return Pose(self.position, np.diag((-1.0, -1.0, 1.0)) @ self.rotation)
 
 
@@ -124,7 +124,7 @@ def project(lens: Lens, pose: Pose, points: Array) -> Array:
 
 
 def rays(lens: Lens, pixels: Array) -> Array:
-    """Directions (K x 3, camera axes, z = 1) that pixels (K x 2) see."""
+    """Directions (K x 3, camera axes, z = 1) of the rays through pixels (K x 2)."""
     bent = (np.asarray(pixels, dtype=np.float64) - lens.middle) / lens.focal
     at = bent.copy()
     k1, k2 = lens.distortion
@@ -139,7 +139,7 @@ def rays(lens: Lens, pixels: Array) -> Array:
 
 
 def on_plane(lens: Lens, pose: Pose, pixels: Array, height: float = 0.0) -> Array:
-    """Points (K x 2: x, y) of the plane z = ``height`` that pixels (K x 2) see."""
+    """Points (K x 2: x, y) where the rays through pixels (K x 2) meet the plane z = ``height``."""
     direction = rays(lens, pixels) @ pose.rotation
     reach = (height - pose.position[2]) / direction[:, 2]
     return (pose.position + direction * reach[:, None])[:, :2]

@@ -1,4 +1,4 @@
-"""A raw photo of a phone: its file, what its EXIF says, and its pixels as stored."""
+"""A raw photo of a phone: its file, its EXIF, and its pixels as stored."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ PLAIN = (".png", ".jpg", ".jpeg", ".jpe", ".jfif", ".tif", ".tiff", ".webp")
 HEIC = (".heic", ".heif", ".hif")  # need the extra `heic`
 RAW = (".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".orf", ".rw2", ".pef", ".srw")  # need the extra `raw`
 SUFFIXES = PLAIN + HEIC + RAW
-# files that may lie beside photos: notes, settings, pages
+# other files that a folder of photos may contain: notes, settings, pages
 BESIDE = (".aae", ".csv", ".db", ".html", ".ini", ".json", ".md", ".pdf", ".txt", ".xml", ".xmp", ".yaml")
 
-ORIENTATION_OF_FLIP = {3: 3, 5: 8, 6: 6}  # EXIF's orientation by LibRaw's flip
+ORIENTATION_OF_FLIP = {3: 3, 5: 8, 6: 6}  # LibRaw's flip to EXIF's orientation
 
-# Settings that can be locked, by their tags in the Exif block; a difference shows that one was not locked.
+# Settings that a user can lock, and their EXIF tags. If values differ, the setting was not locked.
 NUMBERS = {"ISO": 34855, "exposure time": 33434, "focal length": 37386, "35 mm focal length": 41989}
 WORDS = {"white balance": (41987, {0: "automatic", 1: "manual"}), "flash": (37385, {0: "off", 1: "fired"})}
-UNKNOWN = 65535  # what some cameras write for a number they do not know, the largest of 16 bits
+UNKNOWN = 65535  # some cameras write this, the largest 16-bit number, for an unknown value
 SAME = ("ISO", "exposure time", "focal length", "white balance", "flash", "camera")
 
 
@@ -50,7 +50,7 @@ class Photo:
     exif: dict[str, Any] = field(default_factory=dict)  # see read_exif
     linear: bool = False  # whether its values are proportional to radiance: those of RAW files are
     profile: Profile | None = None  # colour profile; None: sRGB
-    balance: tuple[float, ...] = ()  # factors of white balance that a RAW file is developed with
+    balance: tuple[float, ...] = ()  # white balance factors for developing a RAW file; (): the camera's
 
     @property
     def name(self) -> str:
@@ -60,7 +60,7 @@ class Photo:
     @classmethod
     @kinds_checked
     def open(cls, path: str | Path) -> Photo:
-        """A photo by its file, with only its header read.
+        """Open a photo file and read only its header.
 
         CaptureError: no image can be read from it, or the package that reads such files is missing.
         """
@@ -80,7 +80,7 @@ class Photo:
         return cls(path, about.size, about.orientation, read_exif(path, about.kind), False, about.profile)
 
     def read(self) -> Picture:
-        """RGB as stored, linear only of RAW files; 0 where alpha masks it. Unreadable: a damaged file."""
+        """RGB pixels as stored, linear if RAW; 0 where alpha masks them. Unreadable: the file is damaged."""
         with _readable(self.path):
             if not self.linear:
                 found = picture(self.path, Unreadable)
@@ -95,14 +95,14 @@ class Photo:
                                                gamma=(1, 1), user_flip=0, adjust_maximum_thr=0.0))
 
     def pixels(self, most: int | None = None) -> np.ndarray:
-        """The pixels of :meth:`read`, H x W x 3, 8 or 16 bits; :func:`reduced` to ``most`` a side or less."""
+        """The pixels of :meth:`read`, H x W x 3, 8 or 16 bits; :func:`reduced` to at most ``most`` a side."""
         image = self.read().pixels
         with _readable(self.path):
             return np.ascontiguousarray(reduced(image, most) if most else image)
 
 
 def reduced(image: np.ndarray, most: int) -> np.ndarray:
-    """Averages over the smallest squares of whole pixels that make the long side ``most`` or less."""
+    """Average squares of n x n pixels, with the smallest n that makes the long side ``most`` or less."""
     import cv2
 
     times = math.ceil(max(image.shape[:2]) / most)
@@ -115,7 +115,7 @@ def reduced(image: np.ndarray, most: int) -> np.ndarray:
 
 @contextlib.contextmanager
 def _readable(path: Path) -> Iterator[None]:
-    """Whatever a decoder raises becomes one error that names the file."""
+    """Turn any exception of a decoder into one error that names the file."""
     try:
         yield
     except (CaptureError, InputWarning):
@@ -144,8 +144,8 @@ def listed(names: Sequence[str]) -> str:
 def photos_in(folder: str | Path) -> list[Path]:
     """The photos of a folder, sorted by name, without hidden ones.
 
-    CaptureError: no photo, or RAW files beside others, because their values are linear. ConfigError: a name
-    that is not UTF-8.
+    CaptureError: no photo, or RAW files (linear values) together with others. ConfigError: a name that is
+    not UTF-8.
     """
     found = files_of(folder := Path(folder), SUFFIXES)
     check_names(*found)
@@ -164,8 +164,8 @@ def photos_in(folder: str | Path) -> list[Path]:
 
 
 def of_one_camera(photos: Sequence[Photo]) -> tuple[list[Photo], dict[str, str], list[str]]:
-    """Photos that one lens can explain: those of the size that most have; the reason, by name, of each other
-    photo; and what a user should know of the camera's settings.
+    """Photos of the most common size, so of one lens; a dict, name of each other photo to the reason why it
+    is rejected; and notes on camera settings that differ.
 
     CaptureError: RAW files among others, or a name twice. ConfigError: something else than photos.
     """
@@ -189,7 +189,7 @@ def of_one_camera(photos: Sequence[Photo]) -> tuple[list[Photo], dict[str, str],
 
 
 def with_one_balance(photos: Sequence[Photo]) -> tuple[list[Photo], list[str]]:
-    """RAW files with the white balance that most have, so that values stay comparable; and a note."""
+    """The photos, RAW files with the most common white balance, so that values are comparable; and notes."""
     usual, count = Counter(photo.balance for photo in photos).most_common(1)[0] if photos else ((), 0)
     if not usual or count == len(photos):
         return list(photos), []
@@ -199,7 +199,7 @@ def with_one_balance(photos: Sequence[Photo]) -> tuple[list[Photo], list[str]]:
 
 
 def differences(photos: Sequence[Photo]) -> list[str]:
-    """A warning for each setting that differs, with photos and values; one more if no photo has the flash."""
+    """Warnings: one for each setting that differs, with photos and values; one if flash was off in all."""
     found = []
     for what in SAME:
         names: dict[str, list[str]] = {}
@@ -218,7 +218,7 @@ def differences(photos: Sequence[Photo]) -> list[str]:
 
 
 def read_exif(path: Path, kind: str) -> dict[str, float | str]:
-    """What a photo's EXIF says, else empty.
+    """A photo's EXIF; empty if it is missing or unreadable.
 
     Numbers: "ISO", "exposure time" (s), "focal length" and "35 mm focal length" (mm). Words: "white balance"
     (automatic or manual), "flash" (fired or off), "camera" (maker and model), "date" (as the camera wrote
@@ -241,7 +241,7 @@ def read_exif(path: Path, kind: str) -> dict[str, float | str]:
     for name, (tag, words) in WORDS.items():
         value = tags.get(tag)
         if isinstance(value, int):
-            found[name] = words[value & 1]  # of the flash, only the lowest bit says whether it fired
+            found[name] = words[value & 1]  # the lowest bit of the flash: whether it fired
     if camera:
         found["camera"] = camera
     if isinstance(tags.get(36867), str):

@@ -40,37 +40,37 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
 
     Three kinds of folder are understood, in this order:
 
-    - ``capture.json`` as svbrdf-diff-renderer has it (docs/formats.md lists its keys). Without ``camera_pos``
-      the photos are rectified, but their views are unknown. Without ``capture.json``, another JSON file with
+    - ``capture.json`` of svbrdf-diff-renderer (docs/formats.md lists its keys). Without ``camera_pos``, the
+      photos are rectified, but their views are unknown. Without ``capture.json``, another JSON file with
       ``camera_pos`` and ``target_dir`` is read, such as ``optim_latent_256.json``;
     - MaterialGAN's ``camera_pos.txt`` and other text files beside the photos ``00.png|jpg``, ...;
-    - photos alone, as a phone wrote them. From three or more,
-      :func:`~mitsvbrdf.capture.stages.make_capture` makes the capture, upright as the first photo. Of fewer,
-      only the first by name is used, with the default geometry, which a note states.
+    - photos alone, as a phone wrote them. :func:`~mitsvbrdf.capture.stages.make_capture` makes the capture
+      of three or more; the first photo defines which side is up. If that fails, or of fewer photos, only the
+      first by name is used, with the default geometry; a note states this.
 
     Args:
         folder: the folder, the JSON file itself, or a lone photo.
-        resolution: pixels a side to shrink to, by area averages of display values; never enlarged. None: as
-            they are.
+        resolution: pixels a side to shrink to, by area averages of display values; never enlarged. None:
+            calibrated photos as they are, plain ones at most 1024, or 2048 if their views are not found.
         index: numbers of the photos to use; None: all.
         transfer: how display values encode radiance; None: what the capture states, else ``gamma2.2`` for
-            calibrated captures (the field's habit), ``srgb`` for plain photos, and ``linear`` for RAW files.
+            calibrated captures (usual in the field), ``srgb`` for plain photos, and ``linear`` for RAW files.
         falloff: see :class:`~mitsvbrdf.views.Views`.
-        report: called with the current step and the share done for plain photos, which take long.
+        report: called with the current step and the share done, but only for plain photos, which take long.
 
     Returns:
         The capture, in the unit of length of its calibration.
 
-    Each photo is decoded and shrunk before the next one. A photo has at most 250 megapixels, and all together
-    have at most 500 when shrunk. Photos that are turned or mirrored relative to the others are laid as these
-    (:mod:`.turned`). Photos masked whole are left out, if ``index`` does not name them. Notes name both.
+    Each photo is decoded and shrunk before the next one. Limits: 250 megapixels a photo; all photos together,
+    shrunk, 500. Photos that are turned or mirrored relative to the others are turned back (:mod:`.turned`).
+    Completely masked photos are omitted; if ``index`` lists one, that is an error. Notes name both.
 
     Raises:
-        CaptureError: photos or calibration that cannot be used, naming the file or row.
+        CaptureError: photos or a calibration that cannot be used; the message names the file or row.
         ConfigError: options out of range.
 
     Warns:
-        InputWarning: the decoder of a photo complained; inside :func:`~mitsvbrdf.errors.strict` an error.
+        InputWarning: a photo's decoder warned; inside :func:`~mitsvbrdf.errors.strict`, this is an error.
     """
     path = Path(folder)
     if resolution is not None and resolution < LEAST_SIDE:
@@ -128,9 +128,9 @@ def _read(path: Path, resolution: int | None, falloff: Falloff, transfer: color.
 
 @entry()
 def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None) -> None:
-    """Write ``capture.json`` and ``target/NN.png``, for :func:`read_capture`. The falloff is not kept.
+    """Write ``capture.json`` and ``target/NN.png``, for :func:`read_capture`. The falloff is not written.
 
-    Photos are numbered anew from 0; lengths stay in the capture's unit. Files have 8 bits, linear ones 16.
+    Photos are renumbered from 0; lengths stay in the capture's unit. Files have 8 bits, linear ones 16.
 
     Args:
         keys: further keys of the JSON, as :func:`~mitsvbrdf.capture.stages.capture_keys` makes them.
@@ -149,7 +149,7 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
               "light_pow": power[0] if all(row == power[0] for row in power) else power}
     if not capture.calibrated and torch.allclose(views.in_patch_sides().camera.double(),
                                                  default_views(len(capture)).camera):
-        stated = {}  # the default geometry: no knowledge, and what is read where these keys are missing
+        stated = {}  # the default geometry: read_capture assumes it if these keys are missing
     files.write_json(folder / "capture.json",
                      {"target_dir": "target", "im_size": views.size, "idx": list(range(len(capture))),
                       **stated, "transfer": capture.transfer, "calibration": capture.calibration,
@@ -158,7 +158,7 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
 
 
 def _stated_above(folder: Path) -> Path | None:
-    """The calibration in the folder above that states views of these photos."""
+    """The calibration file in the folder above, if it has the views of these photos; else None."""
     here = Path(os.path.realpath(folder))
     with contextlib.suppress(CaptureError, OSError, ValueError, KeyError, TypeError):
         ours = here.parent / "capture.json"
@@ -170,9 +170,9 @@ def _stated_above(folder: Path) -> Path | None:
 
 def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer: color.Transfer | None,
                 report: Report) -> Capture:
-    """The capture that `mitsvbrdf capture` makes of raw photos; where it makes none, of the first alone.
+    """The capture that `mitsvbrdf capture` makes of raw photos; if it fails, that of the first photo alone.
 
-    Photos that show everything in the same place are taken for rectified.
+    Photos that show everything in the same place are assumed to be rectified.
     """
     from .align.from_sheet import refuse_tags
     from .rig import LEAST_PHOTOS, OnePlace
@@ -200,7 +200,7 @@ def _from_plain(folder: Path, falloff: Falloff, resolution: int | None, transfer
 
 def _single(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None,
             reason: str) -> Capture:
-    """The middle square of the first photo as it is shown, in the stated default geometry."""
+    """The middle square of the first photo as displayed, in the default geometry; a note states this."""
     alone = [f"only {photos[0].name} is used of {len(photos)} photos: {reason}"] if len(photos) > 1 else []
     shot = _unposed(photos[:1], falloff, folder, resolution, [*differences(photos), *alone])
     z, focal = float(shot.views.camera[0, 2]), photos[0].exif.get("35 mm focal length")
@@ -211,20 +211,20 @@ def _single(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution:
 
 
 def _rectified(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None) -> Capture:
-    """The middle squares of photos from one place; nothing is known of their views."""
+    """The middle squares of photos from one place; their views are unknown."""
     size = Counter(photo.size for photo in photos).most_common(1)[0][0]
     kept = [photo for photo in photos if photo.size == size]
     others = [f"{photo.name} is rejected: it has another size" for photo in photos if photo.size != size]
     note = ("the photos show everything in the same place, so they are taken for rectified; nothing is known "
             "of their views")
     notes = [*differences(photos), *others, note]
-    looked_at = resolution and max(resolution, MOST_SQUARE)  # shrunk after that
+    looked_at = resolution and max(resolution, MOST_SQUARE)  # read_capture shrinks them later
     return _unposed(kept, falloff, folder, looked_at, notes, [photos.index(photo) for photo in kept])
 
 
 def _unposed(photos: Sequence[Photo], falloff: Falloff, folder: Path, resolution: int | None,
              notes: Sequence[str], index: Sequence[int] = (0,)) -> Capture:
-    """Middle squares of photos as they are shown, in the default geometry."""
+    """The middle squares of photos as displayed, in the default geometry."""
     check_held(len(photos), min(*photos[0].size, resolution or MOST_SQUARE), folder)
     photos, told = with_one_balance(photos)
     squares, outside = [], {}
@@ -247,7 +247,7 @@ def _angle(photo: Photo) -> float:
 
 
 def _square(photo: Photo, found: Picture, resolution: int | None) -> np.ndarray:
-    """The middle square of a photo as shown, S x S x 3 display values, shrunk; NaN where alpha masks it."""
+    """The middle square of a photo as displayed, shrunk, S x S x 3 display values; NaN: masked by alpha."""
     pixels = upright(found.pixels, photo.orientation)
     (height, width), side = pixels.shape[:2], min(pixels.shape[:2])
     if side < LEAST_SIDE:

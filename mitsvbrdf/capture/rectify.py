@@ -15,15 +15,15 @@ from .lens import Lens, Pose, project
 from .photo import Photo, reduced
 from .rig import Rig
 
-LONG_SIDE = 1024  # pixels, of a whole photo that is kept
+LONG_SIDE = 1024  # pixels of the small copy of a whole photo
 CORNERS = np.array([[-0.5, -0.5, 0.0], [0.5, -0.5, 0.0], [0.5, 0.5, 0.0], [-0.5, 0.5, 0.0]])  # of the patch
 
 
 @dataclass(frozen=True)
 class Rectified:
-    """Photos, rectified but otherwise as they came: display values by name."""
+    """Rectified photos, not processed otherwise. The keys of each dict are names of photos."""
 
-    # the patch alone, R x R x 3 float32 in [0, 1], with vignetting; NaN beyond the photo or behind its mask
+    # display values of the patch, R x R x 3 float32 in [0, 1], with vignetting; NaN: outside or masked
     pictures: dict[str, np.ndarray]
     overlap: dict[str, float]  # share of the patch within a photo, masked or not
     small: dict[str, np.ndarray]  # whole photos, at most 1024 pixels long, as stored
@@ -33,11 +33,11 @@ class Rectified:
     @classmethod
     def of(cls, rig: Rig, photos: Sequence[Photo], resolution: int,
            report: Callable[[str, float], object]) -> Rectified:
-        """The photos of ``rig``, in ``resolution`` pixels a side, or in as many as they show if fewer."""
+        """Rectify the photos of ``rig`` to ``resolution`` pixels a side; to fewer if they show fewer."""
         photos = [photo for photo in photos if photo.name in rig.poses]
         at = np.stack([project(rig.lens, pose, CORNERS * rig.size) for pose in rig.poses.values()])
         sides = np.nan_to_num(np.linalg.norm(np.roll(at, -1, axis=1) - at, axis=2))
-        shown = int(np.median(sides.min(axis=1)))  # pixels along the patch's shortest side
+        shown = int(np.median(sides.min(axis=1)))  # median: pixels along the patch's shortest side
         side = max(LEAST_SIDE, min(resolution, shown))
         check_held(len(photos), side, photos[0].path.parent)
         pictures, overlap, small, outside = {}, {}, {}, {}
@@ -58,9 +58,9 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
               opaque: np.ndarray | None = None) -> np.ndarray:
     """A photo as seen from straight above: the patch in R x R pixels, row 0 at the top, undistorted.
 
-    Each pixel is the average over its area, from at least as many samples as the photo has pixels there: R x
-    R x 3 float32 in [0, 1], NaN where the photo does not reach, or is not ``opaque`` (H x W). The photo is H
-    x W x 3 as stored (8 or 16 bits, or float32), of the size of ``lens``.
+    The result is R x R x 3 float32 in [0, 1], NaN outside the photo or where it is not ``opaque`` (H x W).
+    Each pixel is the average of at least as many samples as the photo has pixels in its area. The photo is
+    H x W x 3 as stored (8 or 16 bits, or float32), with the ``size`` of ``lens``.
     """
     import cv2
 
@@ -92,9 +92,9 @@ def rectified(pixels: np.ndarray, lens: Lens, pose: Pose, size: float, resolutio
 
 
 def filled(pictures: Sequence[np.ndarray], warn: bool = True) -> tuple[torch.Tensor, torch.Tensor | None]:
-    """Photos, N x R x R x 3. The mean of the others, else the nearest pixel, replaces NaN.
+    """Photos, N x R x R x 3. NaN becomes the mean of the other photos there, or else the nearest pixel.
 
-    The second tensor says where photos are measured, N x R x R; None: everywhere.
+    The second tensor is N x R x R, True where a photo is measured; None: everywhere.
     """
     stack = np.stack(pictures)
     known = np.isfinite(stack)

@@ -1,4 +1,4 @@
-"""The rig: one lens, and where it stood in each photo, however that was found; and its JSON."""
+"""The rig: one lens, and its pose in each photo, from any source; and the rig as JSON."""
 
 from collections.abc import Mapping, Sized
 from dataclasses import dataclass, field
@@ -10,7 +10,7 @@ import numpy as np
 from ..errors import CaptureError
 from .lens import Lens, Pose
 
-LEAST_PHOTOS = 3  # from which views can be found
+LEAST_PHOTOS = 3  # fewest photos from which views can be estimated
 
 
 class OnePlace(CaptureError):
@@ -19,22 +19,22 @@ class OnePlace(CaptureError):
 
 @dataclass(frozen=True)
 class Rig:
-    """A lens and where it stood in each photo. The patch is the square around the world's origin."""
+    """A lens and its pose in each photo. The patch is the square around the world's origin."""
 
     lens: Lens  # what all photos share
-    poses: dict[str, Pose]  # by name of the photo, of the photos that are used
+    poses: dict[str, Pose]  # photo name to pose, of the photos that are used
     size: float  # side of the patch, in unit
-    # of all lengths: cm where a sheet of known size was seen, else patch sides (size is 1)
+    # unit of all lengths: cm with a sheet of known size, else patch sides (size is 1)
     unit: Literal["cm", "patch sides"]
-    # source of the poses; none: photos rectified to their sheet, of which only the patch is known
+    # source of the poses; none: the photos were rectified to their sheet before, so poses are unknown
     source: Literal["sheet", "photos", "none"]
-    # RMS reprojection error in pixels of the photo, by name
+    # photo name to RMS reprojection error, in pixels of the photo
     errors: dict[str, float] = field(default_factory=dict)
-    rejected: dict[str, str] = field(default_factory=dict)  # reason, by name of each photo that is not used
-    # standard deviation of a camera's position in unit, by name, where it is known
+    rejected: dict[str, str] = field(default_factory=dict)  # photo name to reason, of the other photos
+    # photo name to the standard deviation of its camera's position, in unit; only where it is known
     deviations: dict[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()  # what the user should know about it
-    # how many of the sheet's 16 tags each photo shows, by name; not in the JSON
+    # photo name to the number of the sheet's 16 tags that it shows; not in the JSON
     tags: dict[str, int] = field(default_factory=dict)
 
 
@@ -46,7 +46,7 @@ def rig_to_json(rig: Rig) -> dict:
 
 def check_enough(kept: Sized, rejected: Mapping[str, str], what: str = "that can be used",
                  fix: str = "take more photos from different places, flash on") -> None:
-    """Raise CaptureError, with the reasons, where fewer than three photos are left; ``fix``: the way out."""
+    """Raise CaptureError, with the reasons, if fewer than three photos are left; ``fix``: what to do."""
     if len(kept) >= LEAST_PHOTOS:
         return
     named: dict[str, list[str]] = {}

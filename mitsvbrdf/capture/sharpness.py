@@ -1,4 +1,4 @@
-"""How many pixels of photos carry detail: all that were sampled, or fewer where the photos are soft."""
+"""How many pixels a side contain detail: all of them, or fewer if the photos are soft."""
 
 from collections.abc import Sequence
 from itertools import combinations
@@ -9,13 +9,13 @@ from ..color import QUANTIZATION_NOISE
 from ..io.images import display
 
 MIDDLE = 512  # pixels a side of the middle of each photo, where detail is measured
-MOST_PHOTOS = 4  # at most so many photos are looked at
-# An octave of detail counts if its contrast exceeds half of that of the next coarser one (MTF50) and the
-# rounding to 8 bits, and if photos agree on it more than half as well as on the coarser one.
+MOST_PHOTOS = 4  # photos that are measured, at most
+# An octave of detail counts if its contrast exceeds half that of the next coarser octave (MTF50) and also
+# the noise of 8 bits, and if its correlation between photos exceeds half that of the coarser octave.
 CONTRAST, SURELY = 0.5, 0.5
-BEYOND_CHANCE = 3  # standard deviations of the correlation of noise
-FEWEST = 8  # pixels a side of the middle in the coarsest octave
-CLEARLY = 2  # detail is measured only where photos are shrunk by this factor or more
+BEYOND_CHANCE = 3  # standard deviations of noise's correlation; a smaller correlation counts as 0
+FEWEST = 8  # the coarsest octave's shortest wave fits this often into the middle, at least
+CLEARLY = 2  # detail is measured only if photos are shrunk by this factor or more
 
 
 def middle(pixels: np.ndarray) -> np.ndarray:
@@ -26,13 +26,13 @@ def middle(pixels: np.ndarray) -> np.ndarray:
 
 
 def carried(middles: Sequence[np.ndarray], side: int, least: int) -> int:
-    """Pixels a side that carry detail: ``side``, halved once for each of the finest octaves without detail.
+    """Pixels a side that contain detail: ``side``, halved for each of the finest octaves without detail.
 
     Noise differs between photos, and an enlarged photo has little contrast in its finest octave. So a band of
     each octave is compared with the band of the next coarser octave, and between photos.
 
-    ``middles`` (:func:`middle`) are those of two or more aligned photos of ``side`` pixels a side. The result
-    is the largest of ``side``, ``side`` / 2, ... whose octave counts, and ``least`` at least.
+    ``middles``: :func:`middle` of each of two or more aligned photos of ``side`` pixels a side. The result is
+    the largest of ``side``, ``side`` / 2, ... whose octave counts, but not below ``least``.
     """
     if len(middles) < 2:
         return least
@@ -48,7 +48,7 @@ def carried(middles: Sequence[np.ndarray], side: int, least: int) -> int:
         alone = float(np.mean([np.square(np.abs(wave[band])).sum() for wave in waves]))
         sizes, shared = [*sizes, side], [*shared, float(np.mean(both) / np.square(window).mean())]
         alike = float(np.mean(both)) / max(alone, 1e-12)
-        # correlation by chance; half of the waves mirror the other half, and so do not count
+        # deviation of correlation by chance; only half of the waves are independent: the others mirror them
         chance = (2 / band.sum())**0.5
         sure, side = [*sure, alike if alike > BEYOND_CHANCE * chance else 0.0], side // 2
     for k, size in enumerate(sizes[:-1]):

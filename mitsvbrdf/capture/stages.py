@@ -1,7 +1,7 @@
 """From raw photos to a capture, in stages: photos of one camera, poses, rectified photos, light, verdicts.
 
-Stages are functions without side effects. Those that reject photos return the reasons. One photo at a time
-is in memory. Of each photo, the rectified patch and a small copy of the whole are kept.
+Stages are functions without side effects. Those that reject photos return the reasons. One whole photo at a
+time is in memory. The rectified patch and a small copy of each photo are kept.
 """
 
 from collections.abc import Sequence
@@ -41,11 +41,11 @@ class CaptureResult:
 
     capture: Capture  # the photos that are used, rectified, in their order
     photos: tuple[Photo, ...]  # all that were given
-    rig: Rig  # lens and poses of those used; rejected has the reason of each other photo
-    # flash, vignetting and exposures; None: unknown, and the flash is taken to be at the lens
+    rig: Rig  # lens, and poses of the photos used; rejected: photo name to reason, of the others
+    # flash, vignetting and exposures; None: unknown, and the flash is assumed to be at the lens
     shading: Shading | None
-    qualities: dict[str, PhotoQuality]  # how good each photo with a pose is, by name
-    next_view: NextView | None  # where one more photo would show most; None: nowhere much
+    qualities: dict[str, PhotoQuality]  # photo name to quality, of photos with a pose
+    next_view: NextView | None  # best place for one more photo; None: no place adds much, or no view is known
     warnings: tuple[str, ...]  # what a user should know
 
     @property
@@ -72,22 +72,22 @@ def make_capture(photos: Sequence[Photo], sheet_cm: float | None = None, depth_c
 
     Args:
         photos: three or more; the order is kept.
-        sheet_cm: size of the printed sheet of tags around the material; None: there is none, and poses come
-            from what the photos share.
-        depth_cm: how far the sheet lies above the material.
+        sheet_cm: size of the printed sheet of tags around the material; None: there is no sheet, and poses
+            are found from features that the photos share.
+        depth_cm: how far the sheet is above the material.
         transfer: how the photos encode light; None: ``linear`` for RAW files, else ``srgb``.
         resolution: pixels a side, at most; never more than the photos show.
-        reference: the photo that says what is up, without a sheet; see
+        reference: without a sheet, the photo that defines which side is up; see
             :func:`~mitsvbrdf.capture.align.from_photos.rig_from_photos`.
 
     Raises:
-        CaptureError: fewer than three photos can be used, with the reasons.
-        OnePlace: all photos are from one place, and not rectified to a sheet.
+        CaptureError: fewer than three photos can be used; the message has the reasons.
+        OnePlace: most photos (with a sheet: all) are from one place, and not rectified to a sheet.
         ConfigError: options out of range.
     """
     if not LEAST_SIDE <= resolution <= MOST_SIDE:
         raise ConfigError(f"a resolution of {LEAST_SIDE} to {MOST_SIDE}", str(resolution), "try 1024")
-    # refuses NaN, too; depth is below 0 where the sheet lies below the material
+    # NaN is invalid, too; depth is below 0 if the sheet is below the material
     if sheet_cm is not None and not abs(depth_cm) < Sheet(sheet_cm).size:
         raise ConfigError(f"a sheet less than its size of {sheet_cm:g} cm above the material",
                           f"{depth_cm:g} cm", "measure how far it is, in cm")
@@ -122,7 +122,7 @@ def _in_stages(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float,
         rejected |= rig.rejected | bad
         kept = [photo for photo in kept if photo.name not in rejected]
         check_enough(kept, rejected)
-        # A bad photo cannot mislead poses from tags. Its features may have misled the poses of all photos:
+        # A bad photo does not spoil poses from tags. Its features may have spoiled the poses of all photos:
         # repeat without it.
         if sheet_cm is not None or not misled:
             break
@@ -147,7 +147,7 @@ def _within(report: Report, start: float, length: float) -> Report:
 
 
 def capture_keys(result: CaptureResult) -> dict:
-    """What ``capture.json`` says beside the views: see docs/formats.md."""
+    """The keys of ``capture.json`` other than the views: see docs/formats.md."""
     uncertainty = None
     if result.shading:
         exposures = {name: sd for name, sd in result.shading.exposure_deviations.items()

@@ -1,7 +1,7 @@
-"""Which rectified photos are turned or mirrored relative to the others, as their pattern shows.
+"""Find rectified photos that are turned or mirrored relative to the others, by their pattern.
 
-Each photo's fine pattern is correlated with those of the others as it lies, and in the seven other ways in
-which a square can lie. Squares of correlations count, because opposite light shows a relief as its negative.
+The fine pattern of each photo is correlated with those of the others, in all eight orientations of a square.
+Correlations are squared, because a relief lit from the opposite side looks like its negative.
 """
 
 from collections.abc import Sequence
@@ -18,19 +18,19 @@ from .capture import Capture
 from .photo import Photo
 from .rig import LEAST_PHOTOS, OnePlace
 
-SIDE = 128  # pixels a side that are looked at; in 64, three of 6,384 photos were laid wrong
-FINE = 3.0  # pixels: coarser differences come from the light
-DIM = 0.02  # display value
-# Ratio of the mean squared correlation to that of any other way, and to that by chance. Of eighteen real
-# captures and twenty known materials no photo was laid wrong. As they lie, photos of these captures have 8 to
-# 3,268 times what chance gives; most raw photos of a simulated phone up to 1.7.
+SIDE = 128  # pixels a side that are compared; with 64, three of 6,384 photos were turned wrongly
+FINE = 3.0  # pixels; coarser differences come from the light
+DIM = 0.02  # display value, added before the logarithm
+# Least ratio of the mean squared correlation to that of any other way, and to that by chance. No photo of
+# eighteen real captures and twenty known materials was turned wrongly. As stored, photos of these captures
+# have a ratio to chance of 8 to 3,268, most raw photos of a simulated phone of up to 1.7.
 CLEARLY = 4.0
-SHIFTS = (1 / 2, 1 / 2), (1 / 3, 1 / 4), (1 / 4, 2 / 3)  # of the side: so shifted, patterns agree by chance
+SHIFTS = (1 / 2, 1 / 2), (1 / 3, 1 / 4), (1 / 4, 2 / 3)  # of the side; patterns shifted so agree by chance
 WAYS = tuple(product((False, True), range(4)))  # mirrored or not, quarter turns
 
 
 def in_place(photos: Sequence[Photo]) -> bool:
-    """Whether most photos show the pattern where the others do: they are rectified, or from a tripod."""
+    """Whether most photos show the pattern in the same place: they are rectified, or from a tripod."""
     small = [cv2.resize(each, (SIDE, SIDE), interpolation=cv2.INTER_AREA) / np.iinfo(each.dtype).max
              for each in (photo.pixels(4 * SIDE) for photo in photos)]
     own, chance = _squares(_fine(np.stack(small)))
@@ -47,14 +47,14 @@ def one_place(count: int) -> OnePlace:
 
 
 def laid(photos: Tensor, way: int) -> Tensor:
-    """Photos N x R x R x C, or N x R x R, in one of :data:`WAYS`."""
+    """Photos, N x R x R x C or N x R x R, mirrored and turned in one of :data:`WAYS`."""
     mirrored, turns = WAYS[way]
     photos = photos.rot90(turns, (1, 2))
     return photos.flip(2) if mirrored else photos
 
 
 def ways(capture: Capture) -> list[int]:
-    """The way to lay each photo so that its pattern agrees with those of most; 0 where nothing is clear."""
+    """For each photo, the index in WAYS at which its pattern agrees with most photos; 0 if unclear."""
     if len(capture) < LEAST_PHOTOS or capture.resolution < SIDE:
         return [0] * len(capture)
     own, chance = _squares(_pattern(capture))
@@ -74,9 +74,9 @@ def ways(capture: Capture) -> list[int]:
 
 
 def laid_alike(capture: Capture, larger: Capture | None = None) -> Capture:
-    """The capture with photos laid as most lie, where their pattern clearly tells; with a note of each.
+    """Turn photos to the orientation of most, if their patterns clearly show it; a note names each of them.
 
-    ``larger``: the same photos in more pixels, to look at instead.
+    ``larger``: the same photos in more pixels, which are compared instead.
     """
     found = ways(larger or capture)
     if not any(found):
@@ -95,14 +95,14 @@ def laid_alike(capture: Capture, larger: Capture | None = None) -> Capture:
 
 
 def _pattern(capture: Capture) -> Tensor:
-    """The fine pattern of each photo, equally strong everywhere, N x R x R; 0 where it is not measured."""
+    """The fine pattern of each photo, equally strong everywhere, N x R x R; 0 where not measured."""
     fine = _fine(np.stack([averaged(photo.numpy(), SIDE) for photo in capture.stored]))
     measured = capture.measured_at(SIDE)
     return fine if measured is None else fine * measured
 
 
 def _fine(photos: np.ndarray) -> Tensor:
-    """The pattern of photos N x R x R x 3 of which all is measured."""
+    """The fine pattern of photos N x R x R x 3, without regard to masks."""
     grey = np.log(photos.mean(axis=-1) + DIM)
     fine = grey - gaussian_filter(grey, (0, FINE, FINE), mode="nearest")
     strength = np.sqrt(gaussian_filter(fine**2, (0, 3 * FINE, 3 * FINE), mode="nearest")) + 1e-3
@@ -110,7 +110,7 @@ def _fine(photos: np.ndarray) -> Tensor:
 
 
 def _squares(pattern: Tensor) -> tuple[np.ndarray, np.ndarray]:
-    """Squared correlations of photo i with photo j laid in each way, N x N x 8; and with shifted photos j."""
+    """Squared correlations of photo i with photo j in each way, N x N x 8; and with j also shifted, x 24."""
     pattern = pattern / pattern.flatten(1).norm(dim=1).clamp_min(1e-9)[:, None, None]
     flat, own, chance = pattern.flatten(1), [], []
     for way in range(len(WAYS)):

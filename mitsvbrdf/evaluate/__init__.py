@@ -39,14 +39,14 @@ def evaluate_capture(svbrdf: SVBRDF, capture: Capture, renderer: Renderer,
     Args:
         svbrdf: the material, brought to the photos' resolution if it differs.
         capture: the photos; they need not be those of the fit.
-        flash_offset: (x, y) of the flash beside the lens in patch sides, as a fit found it; None leaves the
-            views alone.
-        priors: how far the views may be off; if given, refined views are measured, too
+        flash_offset: (x, y) of the flash beside the lens in patch sides, as a fit found it; None: the
+            views stay.
+        priors: standard deviations of the views; if given, refined views are measured, too
             (:mod:`mitsvbrdf.calibrate.refine`).
 
     Returns:
-        ``rerender_rmse`` over all photos and ``per_photo`` by name. With priors, ``refined`` has the same for
-        refined views, and ``views``: by photo, ``change`` and ``deviation`` of each unknown.
+        ``rerender_rmse`` over all photos, and ``per_photo``: photo name to RMSE. With priors, ``refined`` has
+        the same for refined views, and ``views``: name to ``change`` and ``deviation`` of each unknown.
     """
     material = svbrdf.resized(capture.resolution)
 

@@ -1,4 +1,4 @@
-"""The maps of a fit against photos, each in the view that belongs to it; seen and held-out photos apart.
+"""Errors of a fit's maps on photos, each rendered in its own view; seen and held-out photos apart.
 
 :func:`compare` does the same for maps of several methods.
 """
@@ -27,15 +27,15 @@ def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Render
                     pictures: list[Tensor] | None = None) -> dict:
     """Errors of the re-rendered photos in display values.
 
-    Views are :func:`fitted_views`. Errors of :func:`mitsvbrdf.evaluate.evaluate_capture` stand beside these.
+    Views are :func:`fitted_views`. ``calibrated``, ``refined``: :func:`mitsvbrdf.evaluate.evaluate_capture`.
 
     Args:
         svbrdf: the material, of any resolution.
-        fit: its views and light are used; the defaults for maps without a ``fit.json``.
-        capture: N photos, as :func:`~mitsvbrdf.evaluate.placement.placed` leaves them.
-        priors: if given, measure a third time, with refined views and frozen maps.
-        index: numbers of the photos to measure; None: all. All N decide whether the fit is of this capture.
-        pictures: gets the re-rendered photos, N x R x R x 3 display values; None: they are not kept.
+        fit: gives views and light. For maps without a ``fit.json``: ``Fit()``.
+        capture: N photos, as :func:`~mitsvbrdf.evaluate.placement.placed` returns them.
+        priors: if given, errors are also measured with refined views and frozen maps.
+        index: numbers of the photos to measure; None: all. :func:`is_of` compares all N.
+        pictures: a list; the re-rendered photos, N x R x R x 3 display values, are appended. None: not kept.
 
     Returns:
         ``views`` (in words), ``fitted_views`` and ``held_out`` (names of photos), ``rerender_rmse``,
@@ -69,10 +69,10 @@ def evaluate_photos(svbrdf: SVBRDF, fit: Fit, capture: Capture, renderer: Render
 
 @entry()
 def evaluate_fit(fit: Fit, capture: Capture) -> dict:
-    """Errors of a fit on photos of its capture or on others, as :func:`evaluate_photos` returns them.
+    """Errors of a fit on photos of its capture or other photos, as :func:`evaluate_photos` returns them.
 
-    Photos are placed by :func:`~mitsvbrdf.evaluate.placement.placed`, and rendered by the fit's renderer in
-    light that falls off as in the fit. ConfigError: the fit had no renderer of ours.
+    The views are those of :func:`~mitsvbrdf.evaluate.placement.placed`; renderer and falloff are those of the
+    fit. ConfigError: the fit had no renderer of ours.
     """
     engine = fit.engine()
     if engine is None:
@@ -96,12 +96,12 @@ def _words(fit: Fit, fitted: list[str], capture: Capture) -> str:
 
 @dataclass(frozen=True)
 class Entry:
-    """What one method found."""
+    """The result of one method."""
 
-    name: str  # the method, as captions call it
+    name: str  # name of the method in captions
     folder: str  # where its maps were read from
     svbrdf: SVBRDF  # its maps, of any resolution
-    fit: Fit = field(default_factory=Fit)  # for its views and light; the defaults for maps without a fit.json
+    fit: Fit = field(default_factory=Fit)  # gives views and light; default: for maps without a fit.json
 
 
 def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer,
@@ -114,16 +114,16 @@ def compare(entries: Sequence[Entry], capture: Capture, renderer: Renderer,
         entries: one or more, each with a name of its own.
         map_errors: gives the RMSE of each map against the known one; None if no maps are known.
         transfer: how display values encode radiance; None: see :func:`placed`.
-        priors: if given, measure a third time, with refined views and frozen maps: alike for all methods.
-        index: numbers of the N photos to show; None: all. All help to estimate unknown views.
+        priors: if given, errors are also measured with refined views and frozen maps, for all methods alike.
+        index: numbers of the N photos to show; None: all. Unknown views are estimated from all.
 
     Returns:
-        The record, ready for JSON, and for each method the pictures N x R x R x 3 in display values. An entry
+        The record, for JSON, and for each method the pictures N x R x R x 3 in display values. An entry
         of ``methods`` describes the maps and the fit, and has ``map_rmse`` (or None) and what
-        :func:`evaluate_photos` returns. ``same_views``: all have the same places before flash offsets.
+        :func:`evaluate_photos` returns. ``same_views``: whether all places are equal before flash offsets.
 
     Raises:
-        ConfigError: there is no entry, or two entries have one name.
+        ConfigError: there is no entry, or two entries have the same name.
     """
     names = [one.name for one in entries]
     if not names or len(set(names)) < len(names):

@@ -1,4 +1,4 @@
-"""The views and lights in which maps are rendered again: those of photos of the fit, or of others."""
+"""Views and lights in which the maps of a fit are re-rendered, for photos of the fit or other photos."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -15,9 +15,9 @@ from ..fit.result import Fit
 from ..io import images
 from ..views import Falloff, Views, nine_view_grid, shift_lights
 
-# Largest median difference of equal photos, averaged to 4 x 4. In real captures a photo at 37 px differs from
-# itself at 256 px by 0.008 at most; of another capture, some photo differs by 0.07 and more. A mask changes
-# less than half of the values.
+# Photos averaged to 4 x 4 look alike if their median difference is less. In real captures a photo at 37 px
+# differs from itself at 256 px by 0.008 at most; photos of another capture differ, at least one by 0.07 or
+# more. The median, because a mask changes less than half of the values.
 SAME = 0.02
 STEP = 1 / 255  # largest difference of equal photos of one size; the folder of a fit keeps 8 bits
 
@@ -25,8 +25,8 @@ STEP = 1 / 255  # largest difference of equal photos of one size; the folder of 
 def is_of(fit: Fit, capture: Capture) -> bool:
     """Whether the fit was made from photos of this capture.
 
-    Photos of the same number, if the fit keeps them, must look alike. If the folders have other names, these
-    photos must be equal.
+    Photos with the same number must look alike, if the fit keeps them. If the names of the folders differ,
+    these photos must be equal.
     """
     kept = fit.small_photos
     both = [(photo.numpy(), k) for k, photo in zip(capture.index, capture.stored) if k in kept]
@@ -46,16 +46,16 @@ def placed(capture: Capture, fit: Fit, transfer: color.Transfer | None = None) -
 
     If the fit saw some of these photos, all estimated views are moved together until the views of the seen
     photos agree with the fit in the mean: sideways by an offset, heights and light power by a factor. So
-    unseen photos can be predicted, though only the photos themselves tell where they were taken. A fit in the
-    default geometry is rendered in it. Stated views are read with the fit's own axes, side and light factor.
-    Only their light power changes, if the fit found another. All photos have the response curve of the fit.
+    unseen photos can be predicted, though their views are estimated from the photos themselves. A fit in
+    the default geometry is rendered in it. If the fit is of this capture, stated views are read with its
+    axes, side and light factor, and get its light power. Photos of the same response get its curve.
 
     Args:
-        capture: all photos, those held out and those it saw.
-        transfer: how display values encode radiance; None: as in the fit, for other captures as stated.
+        capture: all photos: those that the fit saw and those held out.
+        transfer: how display values encode radiance; None: the fit's, if of this capture, else as stated.
 
     Raises:
-        CaptureError: the fit estimated views, and these photos do not allow it.
+        CaptureError: the fit estimated views, and these photos do not allow an estimate.
     """
     ours = is_of(fit, capture)
     taken = transfer or (fit.transfer if ours else None) or capture.transfer
@@ -88,7 +88,7 @@ def placed(capture: Capture, fit: Fit, transfer: color.Transfer | None = None) -
 def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
     """The views to render a fit's maps with, and the names of the photos that have a view of the fit.
 
-    Photos that the fit saw have its view, if it was fitted to this capture. All other photos have the view of
+    If the fit is of this capture, photos that it saw have its views. All other photos have the view of
     the capture and the flash offset of the fit. Lengths are in patch sides.
     """
     views = shift_lights(capture.views, fit.flash_offset).in_patch_sides()
@@ -104,7 +104,7 @@ def fitted_views(fit: Fit, capture: Capture) -> tuple[Views, list[str]]:
 
 
 def named_views(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views, list[str]]:
-    """Names and views of a capture, with the flash offset of the fit, or of ``builtin:grid``; and notes."""
+    """Names, views and notes of ``source``: a capture, with the fit's flash offset, or ``builtin:grid``."""
     if source == "builtin:grid":
         views = replace(nine_view_grid(), falloff=falloff)
         return [f"{i:02d}" for i in range(len(views))], views, []

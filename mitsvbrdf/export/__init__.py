@@ -22,13 +22,13 @@ def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS
 
     Args:
         svbrdf: the material.
-        out: made when missing.
-        to: of :data:`FORMATS`.
+        out: the folder; made if it is missing.
+        to: names from :data:`FORMATS`.
         settings: names, bits, size and licence.
-        views: the first one is shown by the Mitsuba scene; default: from above, near the centre.
+        views: the Mitsuba scene shows the first; default: from above, near the centre.
 
     Returns:
-        What was written, by format.
+        A dict: format to what was written.
 
     Raises:
         ConfigError: an unknown format, a naming or DirectX normals without ``maps``, or a side out of range.
@@ -51,7 +51,7 @@ def export_material(svbrdf: SVBRDF, out: str | Path, to: Sequence[str] = FORMATS
 
 
 def check_options(to: Sequence[str], settings: ExportSettings = DEFAULTS) -> None:
-    """Raise ConfigError for what :func:`export_material` does not know, before anything is written."""
+    """Raise ConfigError for options that :func:`export_material` does not accept, before it writes a file."""
     for kind in to or ("",):
         if kind not in FORMATS:
             raise ConfigError(f"formats of {', '.join(FORMATS)}", repr(kind), "choose some of these")

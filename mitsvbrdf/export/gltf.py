@@ -1,4 +1,4 @@
-"""One patch with its material as a binary glTF 2.0 file (GLB), textures inside.
+"""One patch with its material as a binary glTF 2.0 file (GLB) that contains its textures.
 
 Source: glTF 2.0 specification (Khronos), sections 3.9.2 and 4.4; KHR_materials_specular.
 """
@@ -33,8 +33,8 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
     """Write ``folder/material.glb``: base colour; occlusion, roughness and metallic packed; normal; and F0.
 
     Base colour and metallic are those of :func:`mitsvbrdf.material.conversion.layered`: only a clear metal is
-    metallic. ``KHR_materials_specular``, for ``roughconductor`` materials only, carries F0; viewers without
-    it show 0.04.
+    metallic. F0 of ``roughconductor`` materials is stored by ``KHR_materials_specular``; viewers without this
+    extension show 0.04.
     """
     material, factor = svbrdf, None
     if svbrdf.bsdf == "roughconductor":
@@ -64,7 +64,7 @@ def write_gltf(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
 
 
 def _glb(textures: dict[str, Tensor], specular: dict, settings: ExportSettings) -> bytes:
-    """The file by the template ``material.gltf``, which fixes the order of the buffer's parts."""
+    """The bytes of the file. The template ``material.gltf`` fixes the order of the buffer's parts."""
     side, blob, views = settings.side or 1.0, bytearray(), list[dict]()
     numbers = [tuple(side * x for x in CORNERS), *FRAME]
     parts: list[tuple[bytes, dict]] = [(struct.pack(f"<{len(each)}f", *each), VERTICES) for each in numbers]
@@ -84,7 +84,7 @@ def _glb(textures: dict[str, Tensor], specular: dict, settings: ExportSettings) 
 
 
 def _container(*chunks: tuple[bytes, bytes, bytes]) -> bytes:
-    """GLB version 2 of chunks (kind, content, filling to four bytes); section 4.4."""
+    """The bytes of a GLB 2. A chunk is (kind, content, byte to pad it with to four bytes); section 4.4."""
     body = b""
     for kind, content, filling in chunks:
         content += filling * (-len(content) % 4)

@@ -21,10 +21,10 @@ LONGEST = 100  # bytes of a material's name in file names; more would not fit ev
 
 
 def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS) -> Export:
-    """Write the maps of a naming into the folder: colours sRGB, the rest linear; a strip is all linear.
+    """Write the maps that the naming lists: colours in sRGB, others linear; a strip is all linear.
 
-    A naming may also have: the height that the normals stand for, plus 0.5 (a displacement of scale 1 and
-    middle 0.5 is right on a square of side 1); ambient occlusion by this height; and occlusion, roughness and
+    Some namings also list: the height integrated from the normals, plus 0.5 (on a square of side 1, displace
+    with scale 1 and middle 0.5); ambient occlusion computed from this height; and occlusion, roughness and
     metallic packed in the channels of one file.
     """
     naming, normal, side = settings.naming, settings.normal, settings.side
@@ -76,7 +76,7 @@ def _strip(folder: Path, svbrdf: SVBRDF, settings: ExportSettings) -> Export:
 
 
 def _safe(name: str) -> str:
-    """A file name of letters and digits of any script, - and _; for a name without any of these, a number."""
+    """A name's letters and digits (of any script), - and _; if it has none, ``material`` and a hash."""
     kept = (c if unicodedata.category(c)[0] in "LMN" or c in "-_" else " "
             for c in unicodedata.normalize("NFC", name))
     safe = "_".join("".join(kept).split()).strip("_").encode()[:LONGEST].decode(errors="ignore")

@@ -17,7 +17,7 @@ from ..render.bsdf import index_from_f0
 from .residual import shown_residual
 from .textures import DEFAULTS, NOTES, SRGB, Export, ExportSettings, rendered, write_pngs
 
-# Files, each with its version of MaterialX and its shader.
+# File -> its version of MaterialX, and its shader.
 DOCUMENTS = {"material.mtlx": ("1.38", "standard_surface"), "openpbr.mtlx": ("1.39", "open_pbr_surface")}
 
 

@@ -1,4 +1,4 @@
-"""The material as a Mitsuba scene file, ``scenes/patch.xml`` filled in; scene files as dictionaries."""
+"""Write a material as a Mitsuba scene, made from ``scenes/patch.xml``; read scenes as dictionaries."""
 
 import math
 import xml.etree.ElementTree as ET
@@ -18,7 +18,7 @@ from ..render.needs import Needs
 from ..views import Views, strips
 from .textures import DEFAULTS, LINEAR, NORMALS, NOTES, Export, ExportSettings, Texture
 
-# Beside the package in a checkout, inside it when installed from a wheel.
+# ``scenes/`` is beside the package in a checkout, and inside it if installed from a wheel.
 SCENES = next((p for p in (Path(__file__).parents[1] / "scenes", Path(__file__).parents[2] / "scenes")
                if p.is_dir()), Path("scenes"))
 
@@ -34,7 +34,7 @@ def write_scene(out: str | Path, svbrdf: SVBRDF, views: Views, repeats: bool = F
     falls off with 1 / d^2.
 
     Args:
-        out: folder; made when missing.
+        out: the folder; made if it is missing.
         views: at least one view.
         repeats: whether the textures repeat beyond their edges.
     """
@@ -76,7 +76,7 @@ def write_mitsuba(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAU
 
 
 def _slots(svbrdf: SVBRDF, rows: slice) -> dict[str, torch.Tensor]:
-    """What the scene's textures hold in some rows, to be lit and looked at from anywhere."""
+    """A dict: slot to some rows of its texture, valid for lights and cameras at any place."""
     maps = {name: value[rows] for name, value in svbrdf.maps.items()}
     return slot_values(svbrdf.bsdf, maps, Needs(), stock=True)
 
@@ -91,7 +91,7 @@ def _material(bsdf: Bsdf, repeats: bool) -> dict:
 
 
 def view_parameters(views: Views, resolution: int) -> dict[str, str]:
-    """The parameters of ``scenes/patch.xml`` that show the first view in R x R pixels, by name."""
+    """A dict: parameters of ``scenes/patch.xml`` to values that show the first view in R x R pixels."""
     view = next(iter(views.in_patch_sides().pick([0])))
     (x, y, z), light = view.camera, view.light
     values = {"camera_x": x, "camera_y": y, "camera_z": z,
@@ -127,8 +127,8 @@ def _fill(element: ET.Element, description: dict) -> None:
 def read_scene(mi: ModuleType, name: str, **values: str) -> dict[str, Any]:
     """A file of ``scenes/`` as the dictionary that ``mitsuba.load_dict`` takes, to be filled in.
 
-    Keys are ids, else kinds (``sensor``, ``film``). References stay references, so that their targets can be
-    replaced.
+    Keys are ids; without an id, kinds (``sensor``, ``film``). References are kept, so that their targets can
+    be replaced.
     """
     config = mi.parser.ParserConfig(mi.variant())
     state = mi.parser.parse_file(config, str(SCENES / name), **values)
@@ -136,7 +136,7 @@ def read_scene(mi: ModuleType, name: str, **values: str) -> dict[str, Any]:
 
 
 def _described(mi: ModuleType, state: Any, index: int) -> dict[str, Any]:
-    """A node of a parsed file, and those below it."""
+    """A dict of a node of a parsed file, with the nodes below it."""
     props = state.nodes[index].props
     described: dict[str, Any] = {"type": props.plugin_name()}
     for key, value in props.items():

@@ -1,4 +1,4 @@
-"""What a conversion changes: RMSE of the maps, and of pictures under three lights."""
+"""The error of a conversion: RMSE of the maps, and of pictures under three lights."""
 
 import math
 
@@ -14,14 +14,14 @@ from ..views import Views
 
 HEIGHT = 2.0  # of the camera, above the centre, in patch sides
 LIGHTS = {"at the camera": (0.0, 0.0, HEIGHT), "beside it": (0.8, 0.3, HEIGHT), "oblique": (1.5, 0.0, 0.6)}
-TEXELS = 1024  # a side
+TEXELS = 1024  # a side; of maps at least twice as large, only every k-th texel is compared
 SIDE = 256  # pixels of the pictures, at most
 GLASS = torch.tensor(DIELECTRIC_F0)
-IRRADIANCE = math.pi / 2  # at the centre: the radiance of white paper is half of that at display value 1
+IRRADIANCE = math.pi / 2  # at the centre: white paper then has radiance 0.5; display value 1 is radiance 1
 
 
 def three_lights() -> Views:
-    """The camera above, one light a view; every light is as bright at the patch's centre."""
+    """Three views: the camera above, one light each, the same irradiance at the patch's centre."""
     light = torch.tensor(list(LIGHTS.values()), dtype=torch.float64)
     distance2 = light.square().sum(dim=1)
     power = IRRADIANCE * distance2 * distance2.sqrt() / light[:, 2]
@@ -29,7 +29,7 @@ def three_lights() -> Views:
 
 
 def residual(svbrdf: SVBRDF, converted: SVBRDF) -> dict[str, float]:
-    """RMSE of converted maps (linear^(1/2.2)) and of pictures under :data:`LIGHTS` (sRGB)."""
+    """A dict of RMSE: converted maps (linear^(1/2.2)), and pictures under each of :data:`LIGHTS` (sRGB)."""
     errors = map_rmse(converted, svbrdf)
     renderer, views, side = AnalyticRenderer(), three_lights(), min(SIDE, svbrdf.resolution)
     wanted, shown = (renderer.render(each.as_roughconductor().to(torch.float32).resized(side), views)
@@ -40,8 +40,8 @@ def residual(svbrdf: SVBRDF, converted: SVBRDF) -> dict[str, float]:
 
 def shown_residual(svbrdf: SVBRDF, material: SVBRDF, f0: Tensor = GLASS, taken: Tensor | None = None,
                    ) -> dict[str, float]:
-    """:func:`residual` of what a program shows (:func:`mitsvbrdf.material.conversion.as_shown`); of large
-    maps, every k-th texel counts. By default, the highlight takes the largest channel of ``f0``.
+    """:func:`residual` of what a program shows (:func:`mitsvbrdf.material.conversion.as_shown`). ``taken``
+    is the share of diffuse light that the highlight takes; default: the largest channel of ``f0``.
     """
     taken = f0.amax(dim=-1, keepdim=True) if taken is None else taken
     step = max(1, svbrdf.resolution // TEXELS)

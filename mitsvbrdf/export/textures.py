@@ -1,4 +1,4 @@
-"""Texture files, and what each holds: map, colour space, normal convention."""
+"""Texture files and their descriptions: map, colour space, normal convention."""
 
 import tomllib
 from collections.abc import Mapping
@@ -31,13 +31,13 @@ class ExportSettings:
     Args:
         name: the material's name, in file names of ``maps`` and in the GLB.
         naming: file names of ``maps``.
-        normal: of ``maps``; all other formats define theirs, which is OpenGL's.
-        bits: of PNG files; colours of ``usd`` and all of ``gltf`` have 8, heights and the IOR of ``usd`` 16.
+        normal: convention of normals in ``maps``; all other formats use OpenGL's.
+        bits: of PNG files; always 8 for colours of ``usd`` and all of ``gltf``, 16 for heights and IOR.
         side: of the patch in metres, for the sizes of meshes and heights; default: the mesh has side 1, of
             any unit.
-        licence: what users may do with it, in every ``export.json`` and in the GLB.
-        repeats: whether its edges meet (:func:`mitsvbrdf.material.tiling.seamless`): textures then repeat,
-            and heights continue across the edges.
+        licence: what users may do with the material; written to every ``export.json`` and to the GLB.
+        repeats: whether opposite edges meet (:func:`mitsvbrdf.material.tiling.seamless`): textures then
+            repeat, and heights continue across the edges.
     """
 
     name: str = "material"
@@ -57,17 +57,17 @@ DEFAULTS = ExportSettings()
 
 @dataclass(frozen=True)
 class Texture:
-    """What ``export.json`` says of a texture file."""
+    """The entry of a texture file in ``export.json``."""
 
-    file: str  # its path, relative to export.json; of a texture inside another file, both names
-    holds: str  # which map; for packed ones which map in which channel
+    file: str  # its path, relative to export.json; for a texture inside another file, both names
+    holds: str  # which map; for a packed texture: which map in which channel
     colour_space: str  # sRGB (transfer function of IEC 61966-2-1) or linear
     bits: int  # per channel; 32: float
     normal: str | None = None  # the convention of a normal map, else None
 
 
 def stored(name: str, value: Tensor, normal: NormalConvention = "gl") -> Tensor:
-    """A map as its file holds it, in [0, 1]: colours sRGB, else linear; normals (n + 1) / 2, ``dx``: -y."""
+    """A map as stored, in [0, 1]: colours in sRGB, others linear; normals (n + 1) / 2, with -y for ``dx``."""
     if (name, normal) == ("normal", "dx"):
         value = value * torch.tensor([1.0, -1.0, 1.0], dtype=value.dtype)
     return shown_map(name, value)
@@ -81,7 +81,7 @@ def described(file: str, name: str, bits: int, normal: NormalConvention = "gl") 
 
 def write_pngs(folder: Path, maps: Mapping[str, tuple[str, Tensor, Bits]],
                normal: NormalConvention = "gl") -> dict[str, Texture]:
-    """Write PNGs of linear maps in parallel; ``maps`` has file, values and bits by the map's name."""
+    """Write PNGs of linear maps in parallel; ``maps``: name to (file, values, bits)."""
     images.write_all([partial(images.write_png, folder / file, value, bits, partial(
         stored, name, normal=normal)) for name, (file, value, bits) in maps.items()])
     return {name: described(file, name, bits, normal) for name, (file, _, bits) in maps.items()}
@@ -102,7 +102,7 @@ class Export:
     files: tuple[str, ...]  # the files to open, relative to the folder
     textures: tuple[Texture, ...]  # all textures
     notes: tuple[str, ...] = ()  # what the format cannot express, and what it expresses in another way
-    # what is lost on the way, by kind of conversion; see mitsvbrdf.export.residual.residual
+    # kind of conversion -> its errors; see mitsvbrdf.export.residual.residual
     conversion: dict[str, dict[str, float]] | None = None
 
     def write(self, folder: Path, **about: object) -> None:

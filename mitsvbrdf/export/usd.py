@@ -1,6 +1,6 @@
 """The material as USD text: a ``UsdPreviewSurface``.
 
-``material.usda`` is the material alone, to be referenced and bound; ``patch.usda`` is a square that wears it.
+``material.usda`` has the material alone, for other files to reference; ``patch.usda`` is a square with it.
 
 Source: UsdPreviewSurface specification 2.6 (Pixar), metallic workflow.
 """

@@ -1,11 +1,11 @@
-"""Tools that all commands share. They know nothing of materials.
+"""Tools that all commands share, independent of materials.
 
-``files`` locks files and writes them whole or not at all, ``results`` does so for a folder of results, and
-``manifest`` lists the folder's files. ``json`` reads JSON, ``decode`` photos, ``images`` reads and writes
-pictures. ``progress`` talks to the user, ``streams`` keeps a full disk from ending a command, ``signals``
-listens for Ctrl-C. ``timing`` times jobs, ``provenance`` names the machine and the versions.
+``files`` locks files and writes them whole or not at all. ``results`` does the same for a result folder;
+``manifest`` lists its files. ``json`` reads JSON, ``decode`` decodes photos, ``images`` reads and writes
+pictures. ``progress`` prints progress and tables, ``streams`` keeps a command running when the disk is full,
+``signals`` handles Ctrl-C. ``timing`` times jobs, ``provenance`` names the machine and the versions.
 """
 
 from collections.abc import Callable
 
-Report = Callable[[str, float], object]  # takes what is going on, and the share done (0 to 1)
+Report = Callable[[str, float], object]  # called with the current step, and the share done (0 to 1)

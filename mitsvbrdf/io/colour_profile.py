@@ -1,8 +1,8 @@
-"""The colour profile that a picture states, and conversion of its pixels to the colours of sRGB and Rec. 709.
+"""Read the colour profile of a picture, and convert its pixels to sRGB or Rec. 709.
 
-8- and 16-bit pictures state an ICC profile, code points of ITU-T H.273 (cICP of PNG, nclx of HEIC), gAMA and
-cHRM of PNG, or Adobe RGB in EXIF. littleCMS converts them to sRGB display values, as a viewer with colour
-management shows them. A linear picture (EXR) states chromaticities; a matrix converts it to Rec. 709.
+An 8- or 16-bit picture may have an ICC profile, code points of ITU-T H.273 (cICP of PNG, nclx of HEIC), gAMA
+and cHRM of PNG, or Adobe RGB in EXIF. littleCMS converts its pixels to the sRGB display values that a viewer
+with colour management shows. A linear picture (EXR) may have chromaticities; a matrix converts to Rec. 709.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ PRIMARIES = {  # code points of H.273
     11: ("DCI-P3", (0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.314, 0.351)),
     12: ("Display P3", (0.68, 0.32, 0.265, 0.69, 0.15, 0.06, 0.3127, 0.3290)),
 }
-GAMMAS = {4: 2.2, 5: 2.8, 8: 1.0}  # by transfer of H.273; viewers show video's (1, 6, 14, 15) as sRGB's
+GAMMAS = {4: 2.2, 5: 2.8, 8: 1.0}  # of H.273 transfer codes; viewers show video codes (1, 6, 14, 15) as sRGB
 HIGH_RANGE = {16: "PQ", 18: "HLG"}
 MAKE = 271  # tag of EXIF
-USUAL_GAMMA = 1 / 2.2, 0.03  # gAMA of sRGB pictures, and how far from it a gAMA still counts as theirs
-GREY = "1", "L", "LA", "I", "I;16", "I;16B"  # Pillow's names of channels
-NEAR = 1 / 255  # a profile that moves no colour farther than this counts as sRGB
-SAMPLE = 2**16  # about so many pixels are sampled to count colours outside of sRGB
+USUAL_GAMMA = 1 / 2.2, 0.03  # a gAMA that differs from the first number by at most the second is sRGB
+GREY = "1", "L", "LA", "I", "I;16", "I;16B"  # Pillow's modes of grey pictures
+NEAR = 1 / 255  # a profile that changes each colour by at most this counts as sRGB
+SAMPLE = 2**16  # about this many pixels are checked for colours outside of sRGB
 BRADFORD = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
 
 
 class Profile(NamedTuple):
-    """A colour profile other than that of sRGB; ``reason`` says why it cannot be used, or is empty."""
+    """A colour profile other than sRGB. ``reason``: why it cannot be used; empty if it can."""
 
     name: str
     icc: bytes = b""
@@ -52,7 +52,7 @@ class Profile(NamedTuple):
 
 
 def profile_of(image: Image.Image, path: Path) -> Profile | None:
-    """The profile stated by a picture that is not decoded yet; None for sRGB's and where none is stated."""
+    """The profile in the header of a picture (not decoded yet); None: it is sRGB, or the header has none."""
     points = _cicp(path) if image.format == "PNG" else image.info.get("nclx_profile")
     icc = image.info.get("icc_profile")
     if points and (image.format == "PNG" or not icc):
@@ -69,7 +69,7 @@ def profile_of(image: Image.Image, path: Path) -> Profile | None:
 
 
 def exif_of(image: Image.Image, tag: int, block: int = 0) -> Any:
-    """The value of a tag in a block of EXIF, by default the first; None if absent or unreadable."""
+    """The value of an EXIF tag in a block (IFD), by default the first; None if absent or unreadable."""
     try:
         found = Image.Image.getexif(image)  # PngImageFile.getexif would decode the picture
         return (found.get_ifd(block) if block else found).get(tag)
@@ -78,9 +78,9 @@ def exif_of(image: Image.Image, tag: int, block: int = 0) -> Any:
 
 
 def to_srgb(pixels: np.ndarray, profile: Profile) -> tuple[np.ndarray, float]:
-    """Convert pixels of a profile (H x W x 3, 8 or 16 bits; for a grey one, equal channels) to 16-bit sRGB.
+    """Convert pixels (H x W x 3, 8 or 16 bits; equal channels if the profile is grey) to 16-bit sRGB.
 
-    Also gives the share of pixels whose colours lie outside of sRGB and were moved to its edge.
+    The second value is the share of pixels whose colours are outside of sRGB and were moved to its edge.
     """
     if profile.grey:
         return _transformed(np.ascontiguousarray(pixels[..., 0]), profile, np.uint16), 0.0
@@ -90,7 +90,7 @@ def to_srgb(pixels: np.ndarray, profile: Profile) -> tuple[np.ndarray, float]:
 
 
 def _outside(pixels: np.ndarray, profile: Profile) -> float:
-    """Share of pixels (N x 3) that stay outside of sRGB when each number moves half a step to grey."""
+    """Share of pixels (N x 3) outside of sRGB even if each value moves half a rounding step towards grey."""
     most = np.iinfo(pixels.dtype).max
     stored = pixels / np.float32(most)
     nearer = stored + (stored.mean(axis=1, keepdims=True) - stored).clip(-0.5 / most, 0.5 / most)
@@ -101,8 +101,8 @@ def _outside(pixels: np.ndarray, profile: Profile) -> float:
 def to_rec709(pixels: np.ndarray, chromaticities: Sequence[float]) -> np.ndarray:
     """Convert linear pixels, H x W x 3, from these chromaticities (x, y of R, G, B and white) to Rec. 709.
 
-    Bradford's matrix adapts another white point, so white stays (1, 1, 1). ValueError: the chromaticities
-    span no colours.
+    Bradford's matrix adapts the white point, so white stays (1, 1, 1). ValueError: the chromaticities define
+    no colour space.
     """
     cones = [BRADFORD @ (np.array((x, y, 1 - x - y)) / y) for x, y in (chromaticities[6:], REC709[6:])]
     adapted = np.linalg.inv(BRADFORD) @ np.diag(cones[1] / cones[0]) @ BRADFORD
@@ -113,12 +113,12 @@ def to_rec709(pixels: np.ndarray, chromaticities: Sequence[float]) -> np.ndarray
 
 
 def is_rec709(chromaticities: Sequence[float]) -> bool:
-    """Whether these chromaticities are those of Rec. 709, as far as files round them."""
+    """Whether these chromaticities equal those of Rec. 709, up to the rounding in files."""
     return bool(np.allclose(chromaticities, REC709, atol=2e-3))
 
 
 def _to_xyz(chromaticities: Sequence[float]) -> np.ndarray:
-    """The matrix from linear RGB to XYZ in which white has Y = 1."""
+    """The 3 x 3 matrix from linear RGB to XYZ, scaled so that white has Y = 1; NaN: there is none."""
     x, y = np.reshape(np.asarray(chromaticities, np.float64), (4, 2)).T
     columns = np.stack((x, y, 1 - x - y))
     white = columns[:, 3] / y[3]
@@ -129,7 +129,7 @@ def _to_xyz(chromaticities: Sequence[float]) -> np.ndarray:
 
 
 def _transformed(pixels: np.ndarray, profile: Profile, kind: type) -> np.ndarray:
-    # at 16 bits littleCMS would interpolate in a grid of colours: off by up to 16/255 from ProPhoto
+    # by default littleCMS interpolates 16-bit colours in a grid: errors of up to 16/255 from ProPhoto
     exactly = imagecodecs.CMS.FLAGS.NOOPTIMIZE if pixels.dtype == np.uint16 else 0
     return imagecodecs.cms_transform(pixels, profile.icc, imagecodecs.cms_profile("srgb"), outdtype=kind,
                                      colorspace="gray" if profile.grey else "rgb", outcolorspace="rgb",
@@ -138,7 +138,7 @@ def _transformed(pixels: np.ndarray, profile: Profile, kind: type) -> np.ndarray
 
 @cache
 def _made(name: str, chromaticities: tuple[float, ...], gamma: float | None) -> Profile | None:
-    """A profile of these chromaticities and this gamma; without a gamma, with the curve of sRGB."""
+    """A profile of these chromaticities and this gamma (None: the curve of sRGB); None if it is sRGB."""
     curve = {"gamma": gamma} if gamma else {"transferfunction": RESPONSES["srgb"].decode(
         np.linspace(0, 1, 4096, dtype=np.float32), Operations(np.where, np.maximum))}
     try:
@@ -149,7 +149,7 @@ def _made(name: str, chromaticities: tuple[float, ...], gamma: float | None) -> 
 
 
 def _unless_srgb(profile: Profile) -> Profile | None:
-    """The profile, or None where it moves no colour of a grid farther than :data:`NEAR`."""
+    """The profile; None if it changes all colours of a grid by :data:`NEAR` or less."""
     steps = np.linspace(0, 255, 256 if profile.grey else 9).round().astype(np.uint8)
     colours = (steps,) * 3 if profile.grey else np.meshgrid(steps, steps, steps)
     grid = np.stack(colours, axis=-1).reshape(1, -1, 3)
@@ -165,7 +165,7 @@ def _of_icc(icc: bytes) -> Profile | None:
         if (space := opened.profile.xcolor_space.strip()) not in ("RGB", "GRAY"):
             return Profile(name, reason=f"for {space}, neither RGB nor grey")
         return _unless_srgb(Profile(name, icc, space == "GRAY"))
-    except Exception as reason:  # littleCMS and its two wrappers raise all kinds
+    except Exception as reason:  # littleCMS and its two wrappers raise many types
         return Profile(name, reason=str(reason))
 
 
@@ -201,7 +201,7 @@ def _cicp(path: Path) -> dict[str, int] | None:
 
 
 def _of_exif(image: Image.Image) -> Profile | None:
-    """Adobe RGB, often stated by EXIF alone: interoperability R03 (DCF 2.0), or a color space of 2."""
+    """Adobe RGB, if EXIF states R03 (interoperability of DCF 2.0) or color space 2; or an unknown profile."""
     space, rules = exif_of(image, 0xA001, 0x8769), str(exif_of(image, 1, 0xA005) or "")
     if space == 2 or rules.startswith("R03"):
         return _made("Adobe RGB", ADOBE_RGB, 2.19921875)

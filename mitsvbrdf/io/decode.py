@@ -1,4 +1,4 @@
-"""Decode picture files: by content, header first, within a size limit; errors name the damaged file."""
+"""Decode picture files by their content, after a check of header and size; errors name the damaged file."""
 
 from __future__ import annotations
 
@@ -21,18 +21,18 @@ from ..errors import MitsvbrdfError, warn_of
 from .colour_profile import Profile, exif_of, profile_of, to_srgb
 
 MOST_PIXELS = 250_000_000  # of a picture; the largest sensors of phones have 200 million
-MOST_BYTES = 8 * MOST_PIXELS  # of its file
+MOST_BYTES = 8 * MOST_PIXELS  # of a picture's file
 MAGIC = {b"\x89PNG\r\n\x1a\n": "PNG", b"\xff\xd8\xff": "JPEG", b"II*\0": "TIFF", b"MM\0*": "TIFF"}
 HEIF_BRANDS = b"heic", b"heix", b"heim", b"heis", b"hevc", b"hevx", b"hevm", b"hevs", b"mif1", b"msf1"
 DNG_VERSION = b"\x12\xc6\1\0\4\0\0\0", b"\xc6\x12\0\1\0\0\0\4"  # tag 50706 of TIFF, four bytes
-BITS, PHOTOMETRIC, ORIENTATION, EXTRA_SAMPLES = 258, 262, 274, 338  # tags of TIFF; EXIF has the third
-BETWEEN = 10, 12, 14  # bits a value of TIFFs that libtiff decodes to 16; Pillow reads their headers by these:
+BITS, PHOTOMETRIC, ORIENTATION, EXTRA_SAMPLES = 258, 262, 274, 338  # tags of TIFF; the third is also in EXIF
+BETWEEN = 10, 12, 14  # bits per value; libtiff decodes them to 16. These entries let Pillow read headers:
 for _ends, _bits, (_meaning, _count) in product((b"II", b"MM"), BETWEEN, ((0, 1), (1, 1), (2, 3))):
     TiffImagePlugin.OPEN_INFO.setdefault((_ends, _meaning, (1,), 1, (_bits,) * _count, ()),
                                          ("I;16" if _count == 1 else "RGB", f"I;{_bits}"))
-FOREIGN = "CMYK", "LAB", "HSV"  # Pillow's names of channels that are no RGB
-OPAQUE = 0.98  # share of the largest alpha from which a pixel is opaque; a constant alpha is no mask
-# by EXIF's orientation: quarter turns counter-clockwise, from the photo as shown to the sensor's picture
+FOREIGN = "CMYK", "LAB", "HSV"  # Pillow's modes that are neither RGB nor grey
+OPAQUE = 0.98  # a pixel is opaque from this share of the largest alpha on; a constant alpha masks nothing
+# EXIF orientation: quarter turns, counter-clockwise, from the photo as shown to the sensor's picture
 UNTURNED = {3: 2, 6: 1, 8: -1}
 
 
@@ -42,10 +42,10 @@ class Header(NamedTuple):
     kind: str  # PNG, JPEG, TIFF, WEBP or HEIF
     size: tuple[int, int]  # width and height as stored
     orientation: int  # EXIF's, 1 to 8; 1: shown as stored
-    mode: str  # Pillow's name of the channels
-    profile: Profile | None  # of its colours; None: those of sRGB
-    bits: int = 8  # of a value in a TIFF
-    negative: bool = False  # whether 0 is white, in a grey TIFF
+    mode: str  # Pillow's mode, which names the channels
+    profile: Profile | None  # of the colours; None: sRGB
+    bits: int = 8  # per value of a TIFF
+    negative: bool = False  # whether it is a grey TIFF in which 0 is white
 
 
 class Picture(NamedTuple):
@@ -53,17 +53,17 @@ class Picture(NamedTuple):
 
     pixels: np.ndarray  # H x W x 3, RGB, 8 or 16 bits, in the colours of sRGB
     alpha: np.ndarray | None = None  # H x W, as stored; None: it has none
-    outside: float = 0.0  # share of pixels whose colours lay outside of sRGB
+    outside: float = 0.0  # share of pixels whose colours were outside of sRGB
 
     @property
     def opaque(self) -> np.ndarray | None:
-        """H x W, False where the alpha masks a pixel; None where no pixel is masked."""
+        """H x W, False at pixels that alpha masks; None: no pixel is masked."""
         opaque = None if self.alpha is None else self.alpha >= OPAQUE * self.alpha.max()
         return None if opaque is None or opaque.all() else opaque
 
 
 def kind_of(path: Path) -> str:
-    """PNG, JPEG, TIFF, WEBP, HEIF, or RAW for a DNG, by the first bytes of a file; else empty."""
+    """The kind of a file, from its first bytes: PNG, JPEG, TIFF, WEBP, HEIF, or RAW (a DNG); else empty."""
     with open(path, "rb") as file:
         head = file.read(4096)
     if head[4:8] == b"ftyp":
@@ -75,7 +75,7 @@ def kind_of(path: Path) -> str:
 
 
 def header(path: Path, error: type[MitsvbrdfError]) -> Header:
-    """Read the header alone. ``error`` is raised for a file that is no picture, or larger than any photo."""
+    """Read only the header. ``error`` is raised if the file is no picture, or larger than any photo."""
     if not path.is_file():  # reading a pipe or a device would wait
         raise error("an image file", f"no file at {path}", "check the name")
     with _named(path, error):
@@ -111,8 +111,8 @@ def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Pict
     """Decode a PNG, JPEG, TIFF, WebP or HEIC file by its content, whatever its name; grey becomes RGB.
 
     ``error`` is raised for a file that is missing, too large, cut short, or damaged beyond reading.
-    InputWarning: the decoder of a JPEG made up what it could not read. ``data``: the numbers are no colours,
-    and stay as they are.
+    InputWarning: parts of a JPEG are unreadable, and the decoder made them up. ``data``: the values are no
+    colours, and are not converted.
     """
     about = header(path, error)
     with _named(path, error):
@@ -139,7 +139,7 @@ def picture(path: Path, error: type[MitsvbrdfError], data: bool = False) -> Pict
 
 
 def _check_boxes(path: Path) -> None:
-    """ValueError for a HEIC that ends early. Its decoder would leave missing tiles grey without a warning."""
+    """Raise ValueError if a HEIC ends early: its decoder would leave missing tiles grey without a warning."""
     with open(path, "rb") as file:
         at, end = 0, file.seek(0, 2)
         while at + 8 <= end:
@@ -152,7 +152,7 @@ def _check_boxes(path: Path) -> None:
 
 
 def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
-    """Pixels (H x W x C or H x W) turned upright, as EXIF's orientation says."""
+    """Pixels (H x W x C or H x W), turned upright by EXIF's orientation."""
     if orientation in (5, 6, 7, 8):
         pixels = pixels.swapaxes(0, 1)
     if orientation in (3, 4, 7, 8):
@@ -161,7 +161,7 @@ def upright(pixels: np.ndarray, orientation: int) -> np.ndarray:
 
 
 def check_size(path: Path, size: tuple[int, int], error: type[MitsvbrdfError]) -> None:
-    """Raise ``error`` for a picture of more pixels or bytes than any camera makes, before it is decoded."""
+    """Before decoding, raise ``error`` if a picture has more pixels or bytes than those of any camera."""
     if size[0] * size[1] > MOST_PIXELS:
         raise error(f"pictures of at most {MOST_PIXELS / 1e6:.0f} megapixels",
                     f"{path} of {size[0]} x {size[1]} pixels", "shrink it, or leave it out")
@@ -172,13 +172,13 @@ def check_size(path: Path, size: tuple[int, int], error: type[MitsvbrdfError]) -
 
 @contextlib.contextmanager
 def opened(path: Path, kind: str) -> Iterator[Image.Image]:
-    """Open a file in Pillow as this kind only. Left to choose, Pillow hands PostScript to Ghostscript.
+    """Open a file in Pillow as this kind only. Otherwise, Pillow would run Ghostscript on PostScript files.
 
-    Pillow gets an open file. Given a path, it maps a plain TIFF into memory and does not turn it upright.
+    Pillow gets an open file. From a path, it would map a plain TIFF into memory and not turn it upright.
     """
     most, Image.MAX_IMAGE_PIXELS = Image.MAX_IMAGE_PIXELS, None
     try:
-        with (warnings.catch_warnings(action="ignore"), open(path, "rb") as file,  # of EXIF
+        with (warnings.catch_warnings(action="ignore"), open(path, "rb") as file,  # warnings of EXIF
               Image.open(file, formats=(kind,)) as image):
             yield image
     finally:
@@ -186,11 +186,11 @@ def opened(path: Path, kind: str) -> Iterator[Image.Image]:
 
 
 def _jpeg(path: Path, content: bytes) -> np.ndarray:
-    """Decode, and warn where the decoder complains; only libjpeg-turbo's own interface reports damage."""
+    """Decode a JPEG, and warn if it is damaged: only libjpeg-turbo's own interface reports damage."""
     try:
         return simplejpeg.decode_jpeg(content, strict=True)
     except ValueError as complaint:
-        with opened(path, "JPEG") as image:  # raises for one that ends early
+        with opened(path, "JPEG") as image:  # raises if the JPEG ends early
             image.draft("RGB", (image.width // 8 or 1, image.height // 8 or 1))
             image.load()
         pixels = simplejpeg.decode_jpeg(content, strict=False)
@@ -205,7 +205,7 @@ def _decoded(decode: Callable[[bytes], np.ndarray], content: bytes, masked: bool
         raise ValueError(str(reason)) from None
     if pixels.dtype not in (np.uint8, np.uint16):
         raise ValueError(f"an image of 8 or 16 bits is needed, not of {pixels.dtype}")
-    if pixels.ndim == 3 and pixels.shape[0] in (3, 4) and pixels.shape[2] > 4:  # a plane each
+    if pixels.ndim == 3 and pixels.shape[0] in (3, 4) and pixels.shape[2] > 4:  # channels first
         pixels = np.moveaxis(pixels, 0, -1)
     return _coloured(pixels, masked)
 
@@ -213,7 +213,7 @@ def _decoded(decode: Callable[[bytes], np.ndarray], content: bytes, masked: bool
 def _coloured(pixels: np.ndarray, masked: bool) -> np.ndarray:
     """Pixels as H x W x 3, or x 4 with alpha; grey is repeated."""
     pixels = np.atleast_3d(pixels)
-    if pixels.shape[2] < 3:  # grey, with its alpha
+    if pixels.shape[2] < 3:  # grey, perhaps with alpha
         pixels = np.concatenate((*[pixels[..., :1]] * 3, pixels[..., 1:]), axis=2)
     return np.ascontiguousarray(pixels[..., :3 + masked])
 
@@ -231,7 +231,7 @@ def _by_pillow(path: Path, about: Header) -> np.ndarray:
 
 
 def needed(module: str, extra: str, path: Path, error: type[MitsvbrdfError]) -> ModuleType:
-    """Import a package that an extra installs; where it is missing, the error names the extra."""
+    """Import a package of an optional extra; if it is missing, ``error`` names the extra to install."""
     try:
         return importlib.import_module(module)
     except ImportError:

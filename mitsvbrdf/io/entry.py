@@ -1,9 +1,9 @@
-"""The edge of the Python API: public functions compute the same whatever the program around them has set.
+"""The entry of the Python API: public functions give the same results under all global settings of torch.
 
-torch's default dtype belongs to the process, gradient and inference mode to the thread. Behind the edge the
-default dtype is float32, gradients are recorded where a function needs them, and no tensor is an inference
-tensor, which autograd refuses. The program's own default comes back when the last call of all threads ends.
-Where a program imported torch first, OpenMP's idle threads spin; torch then uses one thread during calls.
+torch's default dtype is global; gradient and inference mode are set per thread. During a call the default
+dtype is float32, functions that need gradients record them, and copies replace inference tensors, which
+autograd cannot use. When the last call of all threads ends, the program's own default dtype is restored.
+If the program imported torch first, OpenMP's idle threads spin; torch then uses one thread during calls.
 """
 
 import contextlib
@@ -22,19 +22,19 @@ from ..kinds import check_arguments
 P = ParamSpec("P")
 T = TypeVar("T")
 
-SPINS = os.environ.get("OMP_WAIT_POLICY", "").upper() != "PASSIVE"  # we set it where torch is not loaded yet
+SPINS = os.environ.get("OMP_WAIT_POLICY", "").upper() != "PASSIVE"  # we set it if torch is not loaded yet
 _lock = threading.Lock()
-_calls = 0  # calls of all threads that are behind the edge now
-_default = torch.float32  # the default dtype that the first of these calls found
-_threads: dict[int, int] = {}  # torch's number of threads before the call, by the thread that calls
-_undo: dict[str, Callable[[], object]] = {}  # undoes changes of other process-wide state, by their names
+_calls = 0  # number of calls that run now, in all threads
+_default = torch.float32  # the default dtype before the first of these calls
+_threads: dict[int, int] = {}  # calling thread: torch's number of threads before its call
+_undo: dict[str, Callable[[], object]] = {}  # name of another global change: how to undo it
 
 
 def entry(gradients: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]:
-    """Decorates a public function: it works under any defaults of torch, and refuses wrong arguments.
+    """Decorate a public function: it works under any defaults of torch, and checks its arguments.
 
-    An argument of another kind than its annotation raises ConfigError. With ``gradients`` the function
-    records gradients even where its caller has switched them off.
+    An argument that does not match its annotation raises ConfigError. With ``gradients`` the function
+    records gradients even if its caller has switched them off.
     """
     def decorated(function: Callable[P, T]) -> Callable[P, T]:
         @functools.wraps(function)
@@ -51,7 +51,7 @@ def entry(gradients: bool = False) -> Callable[[Callable[P, T]], Callable[P, T]]
 
 @contextlib.contextmanager
 def _float32() -> Iterator[None]:
-    """float32 is torch's default until the last call is over."""
+    """Keep float32 as torch's default dtype until the last running call ends."""
     global _calls, _default
     with _lock:
         if not _calls:
@@ -60,7 +60,7 @@ def _float32() -> Iterator[None]:
         _calls += 1
         me = threading.get_ident()
         outermost = SPINS and me not in _threads
-        if outermost:  # a new thread begins with the number set last: during another call that is our 1
+        if outermost:  # a new thread starts with the number set last; during another call this is our 1
             threads = torch.get_num_threads()
             _threads[me] = max(_threads.values()) if threads == 1 and _threads else threads
             torch.set_num_threads(1)
@@ -81,8 +81,8 @@ def _float32() -> Iterator[None]:
 
 
 def put_back(what: str, undo: Callable[[], object]) -> None:
-    """Undo a change of process-wide state: after the last call behind the edge, or now if no call runs. Of
-    several changes with one name ``what``, only the first ``undo`` is called.
+    """Undo a global change when the last running call ends, or now if no call runs. Of several changes with
+    the same name ``what``, only the first ``undo`` is called.
     """
     with _lock:
         if _calls:
@@ -92,7 +92,7 @@ def put_back(what: str, undo: Callable[[], object]) -> None:
 
 
 def _ordinary(value: Any) -> Any:
-    """The value; where it has inference tensors, a new one with copies in their place."""
+    """The value itself, or a new one in which copies replace inference tensors."""
     if isinstance(value, Tensor):
         return value.clone() if value.is_inference() else value
     if is_dataclass(value) and not isinstance(value, type):

@@ -1,7 +1,7 @@
-"""Write files whole or not at all; read and name files without links that lead elsewhere.
+"""Write files whole or not at all; read files, and resolve names, so that no link leads elsewhere.
 
-A write makes a new file beside its target, and then renames it onto the target. A path that a user gives may
-be a symbolic link. Inside a folder of results a link, a pipe or a device is refused.
+A write makes a new file beside its target, and then renames it to the target. A path given by a user may
+be a symbolic link. Inside a result folder, links, pipes and devices are not accepted.
 """
 
 import contextlib
@@ -22,13 +22,13 @@ from filelock import FileLock, Timeout
 
 from ..errors import ConfigError, OutputError
 
-wrote = threading.Event()  # whether this process has written a file
-AT_FDCWD, RENAME_EXCHANGE = -100, 2  # of Linux
-_CAREFULLY = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC  # no link is followed, no pipe waited for
+wrote = threading.Event()  # set once this process has written a file
+AT_FDCWD, RENAME_EXCHANGE = -100, 2  # constants of Linux
+_CAREFULLY = os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC  # follows no link, waits for no pipe
 
 
 def write_json(path: Path, value: object) -> None:
-    """Indented JSON; NaN and infinity are refused, since JSON has none."""
+    """Write indented JSON. ValueError: NaN or infinity, which JSON does not have."""
     write_bytes(path, (json.dumps(value, indent=1, allow_nan=False) + "\n").encode())
 
 
@@ -40,10 +40,10 @@ def write_bytes(path: Path, data: bytes) -> None:
 
 @contextlib.contextmanager
 def atomic_write(path: Path) -> Iterator[Path]:
-    """A temporary name in the same folder, renamed onto ``path`` when the block ends well, else removed.
+    """Yield a temporary path beside ``path``; rename it to ``path`` if the block succeeds, else remove it.
 
-    Where ``path`` is a symbolic link, the link's target is replaced. OutputError: the folder cannot be made
-    or written to, or something other than a file has this name.
+    If ``path`` is a symbolic link, the link's target is replaced. OutputError: the folder or file cannot be
+    made or written, or ``path`` exists and is no file.
     """
     path, temporary = _places(path)
     try:
@@ -64,11 +64,11 @@ def atomic_write(path: Path) -> Iterator[Path]:
 def file_lock(path: Path, seconds: float = -1) -> Iterator[None]:
     """Lock a file or folder for this process and thread, with a file ``.NAME.lock`` beside it.
 
-    The path need not exist, but its folder must. ``seconds`` is the longest wait for another holder;
-    negative: no limit. OutputError: another one has the lock. OSError: no lock can be made there.
+    The path need not exist, but its folder must. ``seconds``: how long to wait for the lock;
+    negative: no limit. OutputError: another run still has the lock. OSError: no lock file can be made.
     """
     place = _lock_file(path)
-    with contextlib.suppress(FileNotFoundError):  # another run may take its lock away meanwhile
+    with contextlib.suppress(FileNotFoundError):  # another run may remove its lock file meanwhile
         if not stat.S_ISREG(place.lstat().st_mode):
             raise OSError(errno.EEXIST, "there is no file, but a link, a pipe or a folder", str(place))
     lock = FileLock(place, timeout=seconds, poll_interval=0.02)
@@ -85,7 +85,7 @@ def file_lock(path: Path, seconds: float = -1) -> Iterator[None]:
 
 
 def in_use(path: Path) -> bool:
-    """Whether somebody holds :func:`file_lock` on this path."""
+    """Whether a :func:`file_lock` on this path is held now."""
     try:
         if is_regular(_lock_file(path)):
             with file_lock(path, 0):
@@ -98,7 +98,7 @@ def in_use(path: Path) -> bool:
 
 
 def taken(path: Path) -> OutputError:
-    """What to raise where another run holds the lock."""
+    """The error to raise if another run has the lock."""
     return OutputError("a place of its own for each run", f"{path}, in use by another run",
                        "wait for it, or choose another place")
 
@@ -115,7 +115,7 @@ def file_hash(path: Path) -> str:
 
 
 def read_regular(path: Path, most: int, links: bool = True) -> bytes:
-    """The content of a regular file, by default also through a link; ValueError above ``most`` bytes."""
+    """The content of a regular file, by default also through a link. ValueError: more than ``most`` bytes."""
     with open_regular(Path(os.path.realpath(path)) if links else path) as file:
         if os.fstat(file.fileno()).st_size > most:
             raise ValueError(f"more than {most >> 20} MiB")
@@ -123,7 +123,7 @@ def read_regular(path: Path, most: int, links: bool = True) -> bytes:
 
 
 def open_regular(path: Path) -> io.BufferedReader:
-    """A regular file, open as bytes; OSError for none, and for a link, a pipe, a device or a folder."""
+    """Open a regular file to read bytes. OSError: missing, or a link, a pipe, a device or a folder."""
     descriptor = os.open(path, os.O_RDONLY | _CAREFULLY)
     if not stat.S_ISREG(os.fstat(descriptor).st_mode):
         os.close(descriptor)
@@ -132,7 +132,7 @@ def open_regular(path: Path) -> io.BufferedReader:
 
 
 def is_regular(path: Path | None) -> bool:
-    """Whether this path is a regular file, and no link to one; False for None."""
+    """Whether this path is a regular file and not a link; False for None."""
     try:
         return path is not None and stat.S_ISREG(path.lstat().st_mode)
     except (OSError, ValueError):
@@ -140,7 +140,7 @@ def is_regular(path: Path | None) -> bool:
 
 
 def stays_inside(name: object) -> bool:
-    """Whether a name that a file states cannot lead out of the folder it is joined to, links aside."""
+    """Whether a name read from a file stays in the folder it is joined to; links are not checked."""
     try:
         if not isinstance(name, str) or b"\0" in os.fsencode(name):
             return False
@@ -151,12 +151,12 @@ def stays_inside(name: object) -> bool:
 
 
 def is_entry(name: object) -> bool:
-    """Whether a name that a file states is a direct entry of a folder, and no pattern with wildcards."""
+    """Whether a name read from a file can be a direct entry of a folder, and has no wildcards."""
     return stays_inside(name) and Path(str(name)).parts == (name,) and not set("*?[\\") & set(str(name))
 
 
 def inside(folder: Path, name: str) -> Path | None:
-    """The path in a folder of a name that a file states; None if it leaves the folder or crosses a link."""
+    """A folder joined with a name read from a file; None if this leaves the folder or crosses a link."""
     if not stays_inside(name):
         return None
     path = Path(folder)
@@ -168,9 +168,9 @@ def inside(folder: Path, name: str) -> Path | None:
 
 
 def exchange(one: Path, other: Path) -> None:
-    """Exchange two folders in one step; where the system or its disk has no such step, by three renames.
+    """Exchange two folders in one step, or by three renames if the system or its disk has no such step.
 
-    A kill between the first two leaves ``other`` whole as ``.NAME.old``. The next command puts it back.
+    A kill after the first rename leaves ``other`` whole as ``.NAME.old``. The next command restores it.
     """
     try:
         renamed = ctypes.CDLL(None, use_errno=True).renameat2(
@@ -192,12 +192,12 @@ def exchange(one: Path, other: Path) -> None:
 
 
 def spare_name(folder: Path) -> Path:
-    """Where :func:`exchange` by renames keeps a folder for a moment."""
+    """The temporary path of a folder while :func:`exchange` renames."""
     return folder.with_name(f".{folder.name}.old")
 
 
 def linked(path: Path, target: Path) -> None:
-    """Give a file a second name; a copy where the disk has no hard links."""
+    """Make a hard link to a file, or a copy if the disk has no hard links."""
     try:
         os.link(path, target, follow_symlinks=False)
     except OSError:
@@ -205,7 +205,7 @@ def linked(path: Path, target: Path) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file, or a folder with all in it; of a link, only the link."""
+    """Remove a file, a folder with its content, or a link but not its target."""
     if path.is_dir() and not path.is_symlink():
         shutil.rmtree(path)
     else:
@@ -213,7 +213,7 @@ def remove(path: Path) -> None:
 
 
 def to_disk(path: Path) -> None:
-    """Flush a file or folder to the disk; OSError where it is impossible, as for folders of some systems."""
+    """Flush a file or folder to the disk. OSError: impossible; some systems cannot flush folders."""
     descriptor = os.open(path, os.O_RDONLY | _CAREFULLY)
     try:
         os.fsync(descriptor)
@@ -222,9 +222,9 @@ def to_disk(path: Path) -> None:
 
 
 def check_output(*paths: Path | None) -> None:
-    """Raise OutputError now for files that :func:`atomic_write` could not write later; None is skipped.
+    """Raise OutputError now if :func:`atomic_write` could not write these files later; None is skipped.
 
-    Nothing is left behind, and missing folders are not made yet.
+    The check leaves no file behind, and makes no folder.
     """
     for path in filter(None, paths):
         target, temporary = _places(path)
@@ -238,7 +238,7 @@ def check_output(*paths: Path | None) -> None:
 
 
 def check_names(*names: str | Path) -> None:
-    """Raise ConfigError for names of files that are not UTF-8: no page and no record can state them."""
+    """Raise ConfigError if a file name is not UTF-8: pages and JSON files could not contain it."""
     for name in map(str, names):
         try:
             name.encode()
@@ -248,7 +248,7 @@ def check_names(*names: str | Path) -> None:
 
 
 def _places(path: Path) -> tuple[Path, Path]:
-    """The file that a path stands for, links followed, and the temporary name beside it."""
+    """The path after following links, and a temporary path beside it. OutputError: it is no regular file."""
     try:
         target = Path(os.path.realpath(path))
     except FileNotFoundError:

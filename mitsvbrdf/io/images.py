@@ -1,4 +1,4 @@
-"""Image files to tensors and back: PNG and JPEG as display values, EXR as it is; row 0 at the top, RGB order.
+"""Read and write images as tensors: PNG and JPEG in display values, EXR unchanged; RGB, row 0 at the top.
 
 Photos with EXIF, HEIC or raw data are read by :mod:`mitsvbrdf.capture.photo`, whole sets of maps by
 :mod:`mitsvbrdf.material.map_files`.
@@ -26,24 +26,24 @@ from .files import atomic_write, write_bytes
 
 BANDED = 64  # rows of a PNG that are rounded at a time
 BAND = 2**22  # pixels that are averaged at a time
-OUTSIDE = 1e-4  # share of the brightest value by which rounding may put a colour outside of Rec. 709
-# What a picture's channels are called; vectors, such as a renderer's normals, have X, Y, Z. Alpha and depth
-# are not read.
+OUTSIDE = 1e-4  # of the brightest value; colours outside of Rec. 709 by less are rounding errors
+# Names of a picture's channels; vectors, such as a renderer's normals, have X, Y, Z. Alpha and depth are not
+# read.
 SETS = ("RGB", "rgb", "XYZ", "xyz", "RG", "XY", "Y", "V", "R")
 T = TypeVar("T")
-MAIN = "Combined"  # Blender's layer of the picture itself
+MAIN = "Combined"  # the layer in which Blender stores the picture itself
 
 
 def read_image(path: Path, error: type[MitsvbrdfError], data: bool = False, alpha: bool = False) -> Tensor:
-    """An image file as float32 H x W x C, row 0 at the top, RGB order, turned as its EXIF says.
+    """An image file as float32 H x W x C, row 0 at the top, RGB order, turned upright by its EXIF.
 
-    8- and 16-bit files give display values in [0, 1]; EXR files give their values as they are, one, two or
-    three channels (:func:`read_exr`). Colours of other spaces are converted to those of sRGB and Rec. 709.
+    8- and 16-bit files give display values in [0, 1]. EXR files give their values unchanged, in one to three
+    channels (:func:`read_exr`). Colours of other spaces are converted to sRGB or Rec. 709.
 
     Args:
-        error: the error to raise where the file is missing or unreadable.
-        data: its numbers are no colours (roughness, normals), and stay as they are.
-        alpha: whether to read only alpha, which is dropped otherwise.
+        error: the error to raise if the file is missing or unreadable.
+        data: the values are no colours (roughness, normals), and are not converted.
+        alpha: whether to read only the alpha channel; otherwise it is dropped.
 
     Warns:
         InputWarning: a damaged JPEG (see :func:`~mitsvbrdf.io.decode.picture`); colours outside of sRGB,
@@ -69,8 +69,8 @@ def read_image(path: Path, error: type[MitsvbrdfError], data: bool = False, alph
 def read_exr(path: Path, error: type[MitsvbrdfError]) -> np.ndarray:
     """An EXR's display window, H x W x C (1 to 3), contiguous float32; 0 where the file has no pixels.
 
-    The picture is R, G, B, or X, Y, Z, or two or one of them, at the top level or in a layer of its own.
-    ``error`` is raised where the file is missing, damaged or too large, or leaves open which picture to read.
+    The channels are R, G, B, or X, Y, Z, or one or two of these, at the top level or in one layer. ``error``
+    is raised if the file is missing, damaged or too large, or if it is unclear which picture to read.
     """
     if not path.is_file():
         raise error("an image file", f"no file at {path}", "check the name")
@@ -100,14 +100,14 @@ def read_exr(path: Path, error: type[MitsvbrdfError]) -> np.ndarray:
 
 
 def _together(path: Path) -> np.ndarray | None:
-    """Red, green and blue as one array; None where they, or alpha, differ in data type."""
+    """Red, green and blue as one array; None if the channels, alpha included, differ in data type."""
     with contextlib.suppress(Exception):  # OpenEXR raises several kinds
         (channel,) = OpenEXR.File(str(path)).channels().values()
         return channel.pixels[..., :3]
     return None
 
 
-Box = tuple[tuple[int, int], tuple[int, int]]  # first row and column, and those after the last
+Box = tuple[tuple[int, int], tuple[int, int]]  # first row and column; row and column after the last
 
 
 def _box(window: Any) -> Box:
@@ -116,7 +116,7 @@ def _box(window: Any) -> Box:
 
 
 def _within(pixels: np.ndarray, held: Box, shown: Box) -> np.ndarray:
-    """Move pixels from the window ``held`` into the window ``shown``: cropped, and 0 where there are none."""
+    """The part of ``pixels`` (window ``held``) in the window ``shown``; 0 where there are no pixels."""
     if held == shown:
         return pixels
     out = np.zeros((*(b - a for a, b in zip(*shown)), pixels.shape[2]), np.float32)
@@ -129,14 +129,14 @@ def _within(pixels: np.ndarray, held: Box, shown: Box) -> np.ndarray:
 
 
 def _picture(names: Sequence[str], path: Path, error: type[MitsvbrdfError]) -> list[str]:
-    """The channels of the picture: those of the top level, else of the one layer that has some."""
+    """The picture's channels: those at the top level or in :data:`MAIN`, else in the only layer with any."""
     layers: dict[str, list[str]] = {}
     for name in names:
         layer, _, channel = name.rpartition(".")
         layers.setdefault(layer, []).append(channel)
     found = {layer: next(list(wanted) for wanted in SETS if set(wanted) <= set(channels))
              for layer, channels in layers.items() if any(set(wanted) <= set(channels) for wanted in SETS)
-             and "RY" not in channels}  # there Y is a luminance, and RY and BY hold the colours
+             and "RY" not in channels}  # with RY and BY (colour), Y is only luminance
     if not found and len(names) == 1:
         return list(names)
     main = [layer for layer in found if layer in ("", MAIN) or layer.endswith(f".{MAIN}")] or list(found)
@@ -147,7 +147,7 @@ def _picture(names: Sequence[str], path: Path, error: type[MitsvbrdfError]) -> l
 
 
 def _in_rec709(linear: Tensor, path: Path, error: type[MitsvbrdfError]) -> Tensor:
-    """Convert an EXR's pixels to Rec. 709 from the chromaticities that its header states."""
+    """Convert an EXR's pixels from the chromaticities in its header to Rec. 709."""
     stated = OpenEXR.File(str(path), header_only=True).parts[0].header.get("chromaticities")
     if stated is None or is_rec709(stated):
         return linear
@@ -167,16 +167,16 @@ def _warn_outside(path: Path, share: float) -> None:
 
 
 def display(pixels: np.ndarray) -> np.ndarray:
-    """Display values in [0, 1], contiguous float32, of pixels of 8 or 16 bits; floats as they are."""
+    """8- or 16-bit pixels as display values in [0, 1], float32 pixels unchanged; contiguous float32."""
     if pixels.dtype == np.float32:
         return np.ascontiguousarray(pixels)
     return np.divide(pixels, np.float32(np.iinfo(pixels.dtype).max), dtype=np.float32, order="C")
 
 
 def averaged(pixels: np.ndarray, side: int) -> np.ndarray:
-    """Square pixels (S x S x 3, 8 or 16 bits or float32), averaged to display values, ``side`` pixels a side.
+    """A square picture (S x S x 3, 8 or 16 bits or float32), averaged to display values, ``side`` a side.
 
-    The pixels are averaged in bands that hold whole rows of the result, which needs little memory.
+    To need little memory, it is averaged in bands of whole rows of the result.
     """
     import cv2
 
@@ -194,39 +194,39 @@ def averaged(pixels: np.ndarray, side: int) -> np.ndarray:
 
 
 def hide(photo: np.ndarray, shown: np.ndarray) -> None:
-    """Put NaN into an averaged photo (S x S x 3) where it averages a pixel that is False in ``shown``."""
+    """Set a pixel of an averaged photo (S x S x 3) to NaN if it covers a pixel that is False in ``shown``."""
     import cv2
 
     photo[cv2.resize((~shown).astype(np.float32), photo.shape[:2], interpolation=cv2.INTER_AREA) > 0] = np.nan
 
 
 def write_all(writes: Sequence[Callable[[], T]]) -> list[T]:
-    """Write files in parallel on all cores: compressing them takes longest. The first error is raised."""
+    """Call functions that write files in parallel, as compression is slow. The first error is raised."""
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         return [done.result() for done in [pool.submit(write) for write in writes]]
 
 
 def write_exr(path: Path, image: Tensor) -> None:
-    """A float32 EXR of an H x W x 3 (R, G, B) or H x W x 1 (Y) tensor, ZIP-compressed."""
+    """Write an H x W x 3 (R, G, B) or H x W x 1 (Y) tensor as a ZIP-compressed float32 EXR."""
     pixels = np.ascontiguousarray(image.detach().to(torch.float32).numpy())
     write_channels(path, {"RGB": pixels} if pixels.shape[2] == 3 else {"Y": pixels[..., 0]})
 
 
 def write_channels(path: Path, channels: Mapping[str, np.ndarray]) -> None:
-    """A ZIP-compressed EXR of named channels."""
+    """Write named channels as a ZIP-compressed EXR."""
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     planes = {name: np.ascontiguousarray(plane) for name, plane in channels.items()}
     with atomic_write(path) as temporary:
         try:
             OpenEXR.File(header, planes).write(str(temporary))
-        except RuntimeError as reason:  # a full disk, say; then plain bytes raise the OSError with its number
+        except RuntimeError as reason:  # a full disk, say; then this write raises its OSError
             temporary.write_bytes(b"".join(map(bytes, channels.values())))
             raise OSError(str(reason)) from None
 
 
 def write_png(path: Path, image: Tensor, bits: int = 8, shown: Callable[[Tensor], Tensor] = Tensor.detach
               ) -> None:
-    """An 8- or 16-bit PNG of display values in [0, 1] (clipped), H x W x 1, 3 or 4 (alpha).
+    """Write display values in [0, 1] (clipped), H x W x 1, 3 or 4 (alpha), as an 8- or 16-bit PNG.
 
     ``shown`` converts rows of the image to display values.
     """

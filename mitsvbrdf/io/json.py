@@ -1,4 +1,4 @@
-"""Reading JSON: bounded and strict, whoever wrote it; :mod:`mitsvbrdf.io.files` writes it."""
+"""Read JSON of any origin strictly, up to a size limit; :mod:`mitsvbrdf.io.files` writes JSON."""
 
 import json
 import math
@@ -10,24 +10,24 @@ import msgspec
 from .files import read_regular
 
 MOST_BYTES = 2**28
-LARGEST = 2**63  # of whole numbers; longer ones overflow tensors and floats
-NUMBER = int | float  # in a shape, see :func:`shape_error`
+LARGEST = 2**63  # whole numbers must be below; larger ones overflow tensors and floats
+NUMBER = int | float  # a number in a shape, see :func:`shape_error`
 
 
 def load(path: Path, kind: type | tuple[type, ...] = dict, links: bool = True) -> Any:
     """The value of a JSON file, of type ``kind``; a symbolic link is followed only with ``links``.
 
-    OSError: it cannot be read, or is no regular file. ValueError: it is larger than 256 MiB, or
-    :func:`parsed` refuses its content.
+    OSError: the file cannot be read, or is no regular file. ValueError: it is larger than 256 MiB, or
+    :func:`parsed` raises the error.
     """
     return parsed(read_regular(path, MOST_BYTES, links), kind)
 
 
 def parsed(text: str | bytes, kind: type | tuple[type, ...] = dict) -> Any:
-    """The value of a JSON text, or of its bytes in UTF-8.
+    """The value of a JSON text, given as a string or as bytes in UTF-8.
 
-    ValueError: no JSON, nested too deeply, a key twice in an object, a number that is not finite or that 64
-    bits do not hold, or another type than ``kind``.
+    ValueError: it is no JSON, is nested too deeply, has a key twice in an object, has a number that is not
+    finite or does not fit into 64 bits, or is of another type than ``kind``.
     """
     odd: list[float] = []
 
@@ -54,15 +54,15 @@ def parsed(text: str | bytes, kind: type | tuple[type, ...] = dict) -> Any:
 
 
 def error_text(reason: Exception) -> str:
-    """An error's own words, without the name of the file that OSError repeats."""
+    """The message of an error; that of an OSError is without the file's name."""
     return (isinstance(reason, OSError) and reason.strerror) or str(reason)
 
 
 def shape_error(value: object, shape: object, where: str = "") -> str:
-    """Where a value departs from a shape, what was expected and what came; empty if it has the shape.
+    """The first place where a value does not match a shape, and the reason; empty if it matches.
 
-    A shape is a type that msgspec knows, ``list[X]`` and ``dict[str, X]`` among them. ``[X]`` is a list of X,
-    ``{str: X}`` an object of X, ``{"name": X, ...}`` an object with these keys.
+    A shape is a type that msgspec supports, such as ``list[X]`` or ``dict[str, X]``. ``[X]`` is a list of X,
+    ``{str: X}`` an object whose values are X, ``{"name": X, ...}`` an object with these keys.
     """
     try:
         msgspec.convert(value, _type_of(shape))
@@ -93,7 +93,7 @@ def _each_once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 def _place(value: Any) -> str:
-    """The place in a value of the first float that is not finite, such as ``camera_pos[5][1]``."""
+    """The path to the first float in a value that is not finite, such as ``camera_pos[5][1]``."""
     left = [("", value)]
     while left:
         where, each = left.pop()

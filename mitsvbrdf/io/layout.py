@@ -1,4 +1,4 @@
-"""Named parts of a vector: a least-squares solver takes one vector, a reader wants names."""
+"""Named parts of a vector: a least-squares solver takes one vector, code is clearer with names."""
 
 import math
 from types import SimpleNamespace
@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 
 class Layout:
-    """The layout of a vector: named arrays that lie one after the other.
+    """The layout of a vector that consists of named arrays, one after the other.
 
         lens = Layout(log_focal=(), centre=(2,), distortion=(2,))
         lens.size                    # 5
@@ -18,12 +18,12 @@ class Layout:
         lens.pack(centre=0.5)        # (0, 0.5, 0.5, 0, 0)
 
     Args:
-        shapes: shape of each part by name, in the order of the vector; () is one number.
+        shapes: name and shape of each part, in the order of the vector; () is one number.
     """
 
     def __init__(self, **shapes: tuple[int, ...]) -> None:
         self.shapes, self.size = shapes, 0
-        self.slices: dict[str, slice] = {}  # where each part lies
+        self.slices: dict[str, slice] = {}  # of each part in the vector
         for name, shape in shapes.items():
             self.slices[name] = slice(self.size, self.size + math.prod(shape))
             self.size += math.prod(shape)
@@ -32,7 +32,7 @@ class Layout:
         return self.slices[name]
 
     def unpack(self, vector: Any) -> SimpleNamespace:
-        """The parts of an array or tensor (... x size) by name, each of shape (... x shape of the part)."""
+        """Split an array or tensor (... x size) into attributes, one per part: ... x shape of the part."""
         return SimpleNamespace(**{name: vector[..., self[name]].reshape((*vector.shape[:-1], *shape))
                                   for name, shape in self.shapes.items()})
 
@@ -43,5 +43,5 @@ class Layout:
 
     @property
     def numbers(self) -> SimpleNamespace:
-        """The indices of each part's numbers in the vector, by name, in the part's shape."""
+        """The indices of each part in the vector. Each attribute has the name and the shape of a part."""
         return self.unpack(np.arange(self.size))

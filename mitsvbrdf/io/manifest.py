@@ -1,4 +1,4 @@
-"""The manifest of a result folder: a list of our files, and a serial number that each new result raises."""
+"""The manifest of a result folder: a list of our files, and a serial number that a new result increases."""
 
 import os
 from pathlib import Path
@@ -7,22 +7,22 @@ from .files import inside, is_regular, stays_inside
 from .json import load
 
 MANIFEST = ".mitsvbrdf"
-# Folders that commands by default make inside the folder of the maps, and the file that identifies each.
+# Folders that commands make by default inside the folder of the maps: name, and the file that identifies it.
 DERIVED = {"export": "export.json", "relight": "relight.json"}
 
 
 def own_files(out: Path) -> list[str]:
-    """Names of the files that commands put into ``out``, as its manifest lists them; empty without one."""
+    """Names of our files in ``out``, as its manifest lists them; empty without a manifest."""
     names = _manifest(out).get("files")
     return [name for name in (names if isinstance(names, list) else ())
             if stays_inside(name) and name != MANIFEST]
 
 
 def derived(out: Path) -> dict[str, list[str]]:
-    """Folders of :data:`DERIVED` that commands made from this result, each with the names of its files.
+    """A dict: each :data:`DERIVED` folder that was made from this result, to the names of its files.
 
-    Only folders beside files of the result count, and only if their own manifest lists the file that
-    identifies them. Names are relative to ``out``.
+    A folder must be beside a file of the result, and its own manifest must list the file that identifies it.
+    Names are relative to ``out``.
     """
     found = {}
     for name in derived_places(out):
@@ -34,7 +34,7 @@ def derived(out: Path) -> dict[str, list[str]]:
 
 
 def files_of_others(out: Path) -> list[str]:
-    """What lies in ``out`` and is not ours. What a killed command left for DERIVED folders is ours."""
+    """Names of files in ``out`` that are not ours. Unfinished :data:`DERIVED` folders are ours."""
     ours = {MANIFEST, *own_files(out), *(name for names in derived(out).values() for name in names)}
     left = [Path(name) for name in derived_places(out)]
     staged = {str(path.with_name(f"{path.name}.partial")) for path in left}
@@ -57,7 +57,7 @@ def is_ours(folder: Path) -> bool:
 
 
 def serial_of(folder: Path) -> int:
-    """The serial number of a result; 0 where there is none, or no result."""
+    """The serial number of a result folder; 0 if it has none."""
     serial = _manifest(folder).get("serial")
     return serial if isinstance(serial, int) else 0
 
@@ -71,6 +71,6 @@ def _manifest(folder: Path) -> dict:
 
 
 def derived_places(out: Path) -> list[str]:
-    """Names, relative to ``out``, that folders of :data:`DERIVED` may have."""
+    """The paths, relative to ``out``, where folders of :data:`DERIVED` may be."""
     homes = {parent for name in own_files(out) for parent in Path(name).parents}
     return sorted(str(home / folder) for home in homes for folder in DERIVED)

@@ -1,4 +1,4 @@
-"""What a user sees while something runs: one live line on a terminal, else plain lines; and small tables."""
+"""Progress of a running command: one live line on a terminal, plain lines elsewhere; and small tables."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rich.text import Text
 
 
 class _Console(Console):
-    """A console that falls silent when nobody reads any more; rich would end the process."""
+    """A console that prints nothing more after its pipe was closed; rich would end the process."""
 
     def on_broken_pipe(self) -> None:
         self.quiet = True
@@ -45,8 +45,8 @@ class Lines:
 def progress_bar(title: str, lasting: bool = False) -> Iterator[Callable[[str, float], None]]:
     """Show progress; yields a function to call with (text, share done).
 
-    A terminal shows the text below the title, which stays at the end if ``lasting``. Everything else, also a
-    notebook, gets :class:`Lines`.
+    A terminal shows the text below the title; both stay at the end if ``lasting``. Elsewhere, also in a
+    notebook, :class:`Lines` are printed.
     """
     if not on_terminal():
         say(title)
@@ -59,7 +59,7 @@ def progress_bar(title: str, lasting: bool = False) -> Iterator[Callable[[str, f
 class Progress:
     """Error, losses, speed and time left of a fit: the ``report`` of :func:`mitsvbrdf.fit.fit_svbrdf`.
 
-    As a context manager it shows one live line on a terminal; otherwise it prints plain lines there, too.
+    As a context manager it shows one live line on a terminal. Otherwise it prints plain lines there, too.
 
     Args:
         title: printed above the progress.
@@ -82,7 +82,7 @@ class Progress:
         now = time.perf_counter()
         first_iteration, first_time = self._first = self._first or (entry["iteration"], now)
         speed = (entry["iteration"] - first_iteration) / max(now - first_time, 1e-9)
-        # seconds and share both include the work before a --resume, and no set-up
+        # seconds and share both include the work before a --resume, but not the set-up
         left = entry["seconds"] * (1 / share - 1) if share > 0 else 0.0
         losses = "".join(f"  {name} {value:.4f}" for name, value in entry.items()
                          if name not in ("seconds", "iteration", "rerender_rmse"))
@@ -92,20 +92,20 @@ class Progress:
 
 
 def on_terminal() -> bool:
-    """Whether a terminal shows what is printed; False where standard output was closed."""
+    """Whether standard output is a terminal; False if it was closed."""
     with contextlib.suppress(ValueError):
         return sys.stdout is not None and sys.stdout.isatty()
     return False
 
 
 def say(text: str, out: TextIO | None = None) -> None:
-    """Print a plain line, to standard output or elsewhere; where that fails the work goes on."""
+    """Print a plain line to ``out``, by default standard output; a failure to print is ignored."""
     with contextlib.suppress(OSError, ValueError):
         print(text, file=out, flush=True)
 
 
 def print_rich(*what: Any, **style: Any) -> None:
-    """Print tables and other values of rich, long words folded; where that fails the work goes on."""
+    """Print tables and other objects of rich, with long words folded; a failure to print is ignored."""
     for table in what:
         for column in table.columns if isinstance(table, Table) else ():
             if not column.no_wrap:
@@ -115,7 +115,7 @@ def print_rich(*what: Any, **style: Any) -> None:
 
 
 def figures_table(title: str, headings: Sequence[str]) -> Table:
-    """An empty table: a first column for the names of rows, then one of figures below each heading."""
+    """An empty table: its first column is for the names of rows, then one column of numbers per heading."""
     table = Table("", title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0),
                   pad_edge=False)
     for heading in headings:
@@ -129,13 +129,13 @@ def several(count: int, one: str) -> str:
 
 
 def say_written(*paths: Path | None) -> None:
-    """One line that names the written files; None stands for a file that was not asked for."""
+    """Print one line with the names of the written files; None is skipped."""
     if names := [str(path) for path in paths if path]:
         say(f"wrote {', '.join(names)}")
 
 
 def print_numbers(title: str, numbers: dict[str, float]) -> None:
-    """A small table of named numbers, under a title that may be longer than the table is wide."""
+    """Print a small table of named numbers; its title may be wider than the table."""
     table = Table(show_header=False)
     for name, value in numbers.items():
         table.add_row(name, f"{value:.4f}")

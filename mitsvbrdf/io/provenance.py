@@ -1,4 +1,4 @@
-"""Where a figure comes from: the machine, and the versions of what it was made with."""
+"""Where a result comes from: the machine, and the versions of the software."""
 
 import contextlib
 import importlib.metadata
@@ -26,7 +26,7 @@ def versions() -> dict[str, str | None]:
 
 
 def version_of(distribution: str) -> str | None:
-    """The version of an installed package; None where it is not installed."""
+    """The version of a package; None if it is not installed."""
     try:
         return importlib.metadata.version(distribution)
     except importlib.metadata.PackageNotFoundError:
@@ -44,7 +44,7 @@ def usable_cores() -> int:
 
 
 def memory_gib() -> tuple[float, float]:
-    """Memory of this machine or container in GiB: in all, and available; infinity where it is unknown."""
+    """Total and available memory of this machine or container, in GiB; infinity: unknown."""
     total = free = float("inf")
     with contextlib.suppress(OSError, KeyError, ValueError):
         told = dict(line.split(":") for line in Path("/proc/meminfo").read_text().splitlines())

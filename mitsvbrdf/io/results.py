@@ -1,9 +1,9 @@
-"""Result folders that appear whole or not at all, and in which nobody else's file is lost.
+"""Result folders that are written whole or not at all, without loss of other people's files.
 
-A command makes its result in ``OUT.partial``, beside OUT. One system call (``renameat2`` of Linux) then
-exchanges the two folders, so a kill leaves either the old result or the new one, and it is whole. A manifest
-lists our files: ``--overwrite`` replaces a folder that holds nothing else, and refuses any other. A lock
-beside OUT keeps two runs apart. A run that fails leaves in ``OUT.partial`` what ``--resume`` continues from.
+A command writes its result to ``OUT.partial``, beside OUT. One system call (``renameat2`` of Linux) then
+exchanges the two folders, so after a kill OUT is the whole old result or the whole new one. A manifest lists
+our files: ``--overwrite`` replaces a folder only if it has no other files. A lock beside OUT prevents two
+runs at once. A failed run leaves in ``OUT.partial`` the files that ``--resume`` needs.
 """
 
 import contextlib
@@ -22,12 +22,12 @@ from .progress import say
 from .signals import deferred_signals
 
 CHECKPOINT = "checkpoint.safetensors"
-UNFINISHED = CHECKPOINT, "relight.json"  # what an unfinished run of `fit` or `relight` has
-GLANCE = 0.05  # seconds for which a call of :func:`in_use` may hold the lock
+UNFINISHED = CHECKPOINT, "relight.json"  # files of an unfinished run of `fit` or `relight`
+GLANCE = 0.05  # seconds to wait for the lock, since a call of :func:`in_use` takes it briefly
 
 
 def partial_folder(out: Path) -> Path:
-    """``OUT.partial``, where a result lies while it is made; for a link, beside the link's target."""
+    """``OUT.partial``, where a result is made; if ``out`` is a link, it is beside the link's target."""
     out = Path(os.path.realpath(out))
     return out.with_name(f"{out.name}.partial")
 
@@ -37,19 +37,19 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False, keep: tuple[
                   add: bool = False) -> Iterator[Path]:
     """Write the files of a result folder, all or none.
 
-    Yields the folder to write into, which takes the place of ``out`` when the block ends well. When the block
-    fails, ``out`` stays as it was and :func:`partial_folder` holds what a later run resumes from. An earlier
-    result is removed as a whole, with the :data:`DERIVED` folders that commands made from it.
+    Yields the folder to write into. If the block succeeds, this folder replaces ``out``: an earlier result is
+    removed as a whole, with the :data:`DERIVED` folders that commands made from it. If the block fails,
+    ``out`` does not change, and :func:`partial_folder` has the files that a later run resumes from.
 
     Args:
         overwrite: whether an earlier result, or an unfinished run of any command, may be replaced.
-        resume: go on in the partial folder of an interrupted run; an earlier result is replaced.
-        keep: files and folders to resume from.
-        add: the new files join those in ``out`` (hard links in the new folder) and replace only files of ours
-            that have the same name. An unfinished run stays as it is.
+        resume: whether to continue in the partial folder of a failed run, and replace an earlier result.
+        keep: names of the files and folders that a run resumes from.
+        add: whether to keep the files in ``out`` (as hard links in the new folder) and replace only files of
+            ours that have the same name. An unfinished run is not touched.
 
     Raises:
-        OutputError: ``out`` has results, or files of others, or is in use, or cannot be written or exchanged.
+        OutputError: ``out`` has results or files of others, is in use, or cannot be written or exchanged.
     """
     out = Path(os.path.realpath(out))
     staged = _added(out) if add else partial_folder(out)
@@ -72,12 +72,12 @@ def output_folder(out: Path, overwrite: bool, resume: bool = False, keep: tuple[
                     if made_of_it:
                         say(f"{out}: removed, as made of the earlier result: {', '.join(made_of_it)}")
         finally:
-            with contextlib.suppress(OSError):  # the next run takes away what is left
+            with contextlib.suppress(OSError):  # the next run removes what is left
                 _empty(staged, () if done else keep)
 
 
 def check_free(out: Path, overwrite: bool, resume: bool = False) -> None:
-    """Raise OutputError now where :func:`output_folder` would, with the same arguments. Nothing is made."""
+    """Raise OutputError now if :func:`output_folder` would raise it for these arguments. Nothing is made."""
     out = Path(os.path.realpath(out))
     _check_free(out, overwrite, resume, (CHECKPOINT,))
     files.check_output(partial_folder(out) / MANIFEST)
@@ -86,7 +86,7 @@ def check_free(out: Path, overwrite: bool, resume: bool = False) -> None:
 
 
 def checkpoints(out: Path) -> list[Path]:
-    """Checkpoints to go on from: of the unfinished run, then of the finished fit in ``out``."""
+    """Checkpoints to continue from: that of the unfinished run, then that of the finished fit in ``out``."""
     partial = partial_folder(out)
     places = [out] if _is_earlier(partial, out) else [partial, out]
     return [place / CHECKPOINT for place in places if files.is_regular(place / CHECKPOINT)]
@@ -118,7 +118,7 @@ def _check_free(out: Path, overwrite: bool, resume: bool, keep: tuple[str, ...],
 
 
 def _check_ours(out: Path) -> None:
-    """Raise OutputError where a folder holds something that is not ours to replace."""
+    """Raise OutputError if a folder contains files that are not ours."""
     if others := files_of_others(out):
         raise OutputError("a folder with nothing but results of mitsvbrdf to replace",
                           f"{out} with {', '.join(others[:5])}{' ...' * (len(others) > 5)}",
@@ -126,17 +126,17 @@ def _check_ours(out: Path) -> None:
 
 
 def _begin(out: Path, staged: Path, keep: tuple[str, ...]) -> None:
-    """Make a folder to write into, empty except for what a run resumes from, and mark it as ours."""
+    """Make a folder to write into, empty except for files to resume from, and mark it as ours."""
     if os.path.lexists(staged):
         _check_own(out, staged, keep)
         _empty(staged, () if _is_earlier(staged, out) else keep)
     staged.mkdir(exist_ok=True)
-    if not files.is_regular(staged / MANIFEST):  # at once: a kill leaves no folder without one
+    if not files.is_regular(staged / MANIFEST):  # at once, so that a kill leaves no folder without it
         (staged / MANIFEST).write_text(json.dumps({"serial": serial_of(out) + 1, "files": []}))
 
 
 def _check_own(out: Path, staged: Path, keep: tuple[str, ...]) -> None:
-    """Raise OutputError for a folder that we did not make, or that would resume from files not ours."""
+    """Raise OutputError if we did not make the folder, or if files to resume from are not ours."""
     home = out if out.exists() else out.parent
     owners = {os.geteuid(), home.stat().st_uid}
     kept = [staged / name for name in keep if os.path.lexists(staged / name)]
@@ -156,7 +156,7 @@ def _check_own(out: Path, staged: Path, keep: tuple[str, ...]) -> None:
 
 
 def _empty(folder: Path, keep: tuple[str, ...]) -> None:
-    """Remove a folder of ours except for what is kept; the manifest, which marks it as ours, goes last."""
+    """Remove a folder of ours except for ``keep``; last its manifest, which marks the folder as ours."""
     if not folder.is_dir() or folder.is_symlink():
         return
     left = any(os.path.lexists(folder / name) for name in keep)
@@ -182,7 +182,7 @@ def _put_in_place(out: Path, staged: Path, add: bool) -> None:
         _folder_to_disk(folder)
     if out.exists():
         if not add:
-            _check_ours(out)  # checked again: no file that came meanwhile is lost
+            _check_ours(out)  # again, as others may have added files meanwhile
         shutil.copymode(out, staged)
         files.exchange(staged, out)
     else:
@@ -191,7 +191,7 @@ def _put_in_place(out: Path, staged: Path, add: bool) -> None:
 
 
 def _link_rest(out: Path, staged: Path, new: list[str]) -> None:
-    """Link into the new folder what new files do not replace in ``out``; no file of others is replaced."""
+    """Make hard links in ``staged`` to the other files of ``out``. OutputError: something is in the way."""
     mine, device = {MANIFEST, *own_files(out)}, out.stat().st_dev
     for name in (*new, MANIFEST):
         for path in (Path(name), *list(Path(name).parents)[:-1]):
@@ -226,7 +226,7 @@ def _mend(out: Path) -> None:
 
 
 def _is_earlier(partial: Path, out: Path) -> bool:
-    """Whether ``partial`` holds the earlier result, since the new one is in ``out`` already."""
+    """Whether ``partial`` is the earlier result, because ``out`` is the new one already."""
     return serial_of(partial) < serial_of(out)
 
 

@@ -1,6 +1,6 @@
 """Ctrl-C and SIGTERM: long work stops and keeps its result, short work and imports are not interrupted.
 
-The module also has the lock for what exists once in a process.
+The module also has the lock for everything that a process has only once.
 """
 
 import contextlib
@@ -9,16 +9,16 @@ import threading
 from collections.abc import Iterator
 from types import FrameType
 
-# Held while Mitsuba or Dr.Jit computes, while libraries load, and while torch's random state is borrowed.
+# Held while Mitsuba or Dr.Jit computes, while libraries load, and while torch's random state is changed.
 PROCESS = threading.RLock()
 AGAIN = 0.02  # seconds after which a Ctrl-C during an import is tried again
 _waiting: list[threading.Timer] = []  # the next try of such a Ctrl-C
 
 
 def interrupt(number: int, frame: FrameType | None) -> None:
-    """A handler of Ctrl-C that raises KeyboardInterrupt, once no import is under way.
+    """Handle Ctrl-C: raise KeyboardInterrupt as soon as no import is running.
 
-    While an extension module loads, the error may end the process, become another error, or be lost.
+    During the import of an extension module, the error could end the process, become another, or be lost.
     """
     while frame is not None:
         if frame.f_globals.get("__name__") == "importlib._bootstrap":
@@ -52,10 +52,10 @@ def stop_signals() -> Iterator[list[int]]:
 
     pressed, ours = signal.getsignal(signal.SIGINT), (signal.default_int_handler, interrupt, signal.SIG_IGN)
     if threading.current_thread() is not threading.main_thread() or pressed not in ours:
-        yield stop  # somebody else listens
+        yield stop  # another thread, or a program's own handler
         return
-    # A script's job in the background must not hear Ctrl-C; SIGTERM still ends it. A program's own handler of
-    # SIGTERM stays.
+    # A background job of a script must ignore Ctrl-C; SIGTERM still ends it. A program's own handler of
+    # SIGTERM is kept.
     heard = [number for number, plain in ((signal.SIGINT, ours[:2]), (signal.SIGTERM, (signal.SIG_DFL,)))
              if signal.getsignal(number) in plain]
     before = {number: signal.signal(number, asked_to_stop) for number in heard}
@@ -68,12 +68,12 @@ def stop_signals() -> Iterator[list[int]]:
 
 @contextlib.contextmanager
 def deferred_signals() -> Iterator[None]:
-    """Defer Ctrl-C and SIGTERM to the end of the block; of nested blocks, to the end of the outermost."""
+    """Defer Ctrl-C and SIGTERM to the end of the block; in nested blocks, to the end of the outermost."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
     heard: dict[int, None] = {}
-    # None: a handler that was set in C, which Python could not put back
+    # None: a handler set in C, which Python could not restore
     before = {number: signal.signal(number, lambda number, _: heard.setdefault(number))
               for number in (signal.SIGINT, signal.SIGTERM) if signal.getsignal(number) is not None}
     try:
@@ -81,5 +81,5 @@ def deferred_signals() -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    for each in sorted(heard, reverse=True):  # SIGTERM first; none after a failure, whose error says more
+    for each in sorted(heard, reverse=True):  # SIGTERM first; after a failure, only its error is raised
         signal.raise_signal(each)

@@ -1,4 +1,4 @@
-"""Standard streams of a command: a closed or full one neither ends the work nor sends output into a file."""
+"""Standard streams of a command: if one is closed or full, work goes on, and no file gets its output."""
 
 import io
 import os
@@ -9,12 +9,12 @@ from . import files
 
 
 class Unfailing(io.FileIO):
-    """A stream to write to that never raises: after the first failure it drops what is written."""
+    """An output stream that never raises: after the first failure it drops all further output."""
 
     failure: OSError | None = None
 
     def write(self, data: Any, /) -> int:
-        """Write, and return the number of bytes taken; after a failure all of them, which are dropped."""
+        """Write, and return the number of bytes written; after a failure, of bytes dropped."""
         if self.failure is None:
             try:
                 return super().write(data)
@@ -24,9 +24,9 @@ class Unfailing(io.FileIO):
 
 
 def guard_streams() -> None:
-    """Let no standard stream of this process fail; call it before any file is opened.
+    """Make the standard streams of this process never fail. Call it before any file is opened.
 
-    A closed stream's number is occupied. Else the next file would get the number, and what libraries print.
+    A closed stream's number is occupied: else a file opened later would get it, and what libraries print.
     """
     for number in (0, 1, 2):
         try:
@@ -42,10 +42,10 @@ def guard_streams() -> None:
 
 
 def told(code: int) -> int:
-    """Say where standard output is cut short; returns the exit code for a command that ended with ``code``.
+    """Print a message if standard output was cut short; return the exit code. ``code``: that of the command.
 
-    A closed pipe does not count: the reader has seen enough. If no file was written, standard output was the
-    result, and success becomes 2.
+    A closed pipe does not count: its reader needs no more. If no file was written, standard output was the
+    result, and the exit code is 2 instead of 0.
     """
     sys.stdout.flush()
     raw = getattr(getattr(sys.stdout, "buffer", None), "raw", None)

@@ -1,4 +1,4 @@
-"""Seconds of whole jobs."""
+"""Run times of whole jobs in seconds."""
 
 import statistics
 import time

@@ -1,5 +1,5 @@
-"""A material: named maps (``maps``), their files (``map_files``), made ones (``made``).
+"""A material: named maps (``maps``), their files (``map_files``), and materials made by code (``made``).
 
-``conversion`` turns the maps of one BSDF into the other's, ``resample`` changes their size, ``corner_cases``
-are the materials that renderers are checked with.
+``conversion`` converts maps from one BSDF to the other. ``resample`` changes their size. ``corner_cases`` has
+the materials for checks of renderers.
 """

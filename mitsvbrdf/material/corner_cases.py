@@ -1,4 +1,4 @@
-"""The materials of a cross-check: made ones, corner cases, and their maps converted to the other BSDF."""
+"""The materials of a cross-check (made by code, corner cases, random), and the text on their conversion."""
 
 import torch
 import torch.nn.functional as F
@@ -9,7 +9,7 @@ from ..views import texel_positions
 from .made import MATERIALS, make_material
 from .maps import CHANNELS, SVBRDF, Bsdf, flat
 
-# How the maps of one BSDF become those of the other, as outputs state it.
+# How maps are converted to each BSDF: text for outputs.
 CONVERSION: dict[str, str] = {
     "roughconductor": "diffuse = base_color (1 - metallic), specular = base_color metallic + 0.04 (1 - "
                       "metallic)",
@@ -20,16 +20,15 @@ CONVERSION: dict[str, str] = {
 
 @entry()
 def builtin_materials(resolution: int = 128) -> dict[str, SVBRDF]:
-    """The made materials (:mod:`mitsvbrdf.material.made`) and :func:`corner_materials`, by name."""
+    """The made materials (:mod:`mitsvbrdf.material.made`) and :func:`corner_materials`: name to material."""
     return {name: make_material(name, resolution) for name in MATERIALS} | corner_materials(resolution)
 
 
 @entry()
 def corner_materials(resolution: int = 128) -> dict[str, SVBRDF]:
-    """Materials at the ends of their ranges, ``roughconductor``, R x R x C, float32; the first is flat.
+    """Materials with values at the ends of their ranges: name to ``roughconductor`` maps, float32.
 
-    ``polished`` goes below roughness 0.1, where no tolerance is stated, down to 0.02, which ``principled``
-    clamps.
+    ``polished`` has roughness 0.02 to 0.1. There, no tolerance is stated; ``principled`` clamps below 0.032.
     """
     waves = _waves(resolution, 8.5)
     return {
@@ -61,7 +60,7 @@ def _waves(resolution: int, degrees: float) -> Tensor:
 
 
 def _ramp(resolution: int, low: float, high: float) -> Tensor:
-    """From ``low`` at the left edge to ``high`` at the right, R x R x 1."""
+    """A ramp from ``low`` at the left edge to ``high`` at the right, R x R x 1."""
     return low + (high - low) * (texel_positions(resolution)[..., :1] + 0.5)
 
 

@@ -1,4 +1,4 @@
-"""Encodings of map files: as ``material.json`` or the user states them, in the words of each library."""
+"""Encodings of map files, as stated in ``material.json`` or by the user, in the words of any library."""
 
 import re
 from difflib import get_close_matches
@@ -12,16 +12,16 @@ from .naming import KINDS, NAMES
 
 NormalConvention = Literal["gl", "dx"]
 
-# Encodings of the files of maps, by the names that material.json and --encoding use.
+# A name used in material.json and --encoding: the encoding that each map then has.
 ENCODINGS: dict[str, dict[str, str]] = NAMES["encodings"]
 _SPELLINGS = {word: code for code, words in NAMES["spellings"].items() for word in words.split()}
 _CONVENTIONS = {"dx": r"\bdx\b|directx|d3d|[+]?\s*y\s*down|-\s*y", "gl": r"\bgl\b|opengl|[+]\s*y|y\s*up"}
 
 
 def read_material_json(folder: Path) -> dict:
-    """What ``material.json`` in a folder says, or an empty dict where there is none.
+    """The content of ``material.json`` in a folder; an empty dict if there is none.
 
-    The ``encoding`` in it has our names of maps and encodings, and ``gl`` or ``dx`` for normals.
+    Its ``encoding`` has our names of maps and encodings; normals have ``gl``, ``dx`` or an empty text.
     """
     path = Path(folder) / "material.json"
     if not path.is_file():
@@ -43,9 +43,9 @@ def read_material_json(folder: Path) -> dict:
 
 
 def asked_codes(encoding: str | None, normal: NormalConvention | None) -> dict[str, str]:
-    """Encodings by map, from a text such as ``linear`` (for all) or ``roughness=linear,normal=dx``."""
+    """A dict, map to encoding, from a text like ``linear`` (all maps) or ``roughness=linear,normal=dx``."""
     asked: dict[str, str] = {}
-    alone: dict[str, str] = {}  # of single maps
+    alone: dict[str, str] = {}  # stated for single maps
     try:
         for item in (encoding or "").split(",") if encoding is not None else []:
             name, sign, code = item.rpartition("=")
@@ -62,7 +62,7 @@ def asked_codes(encoding: str | None, normal: NormalConvention | None) -> dict[s
 
 
 def code_of(name: str, code: str) -> tuple[str, str]:
-    """A map and its encoding in our words; ValueError for other words."""
+    """A map and its encoding in our words; ValueError for unknown words."""
     squeezed = re.sub(r"[^a-z0-9]", "", name.lower())
     known = name if name in TITLES else KINDS.get(squeezed, "").partition(" ")[0]
     if known not in TITLES:

@@ -18,13 +18,13 @@ from .maps import DIELECTRIC_F0
 from .naming import Source
 
 BLACK = [0, 0, 0]
-LARGEST = 2**30  # bytes of a file
+LARGEST = 2**30  # bytes in a file, at most
 
 
 def gltf_set(path: Path, spare: Path) -> MapSet:
-    """The one material of a file; textures inside it become files in the folder ``spare``.
+    """The one material of a file; textures inside it are written to the folder ``spare``.
 
-    MapsError: not a glTF file, several materials, or a feature that the reader does not know.
+    MapsError: no glTF file, none or several materials, or a feature that the reader does not know.
     """
     try:
         document, binary = _parts(path)
@@ -108,7 +108,7 @@ def _found(path: Path, document: dict, material: dict, binary: bytes, spare: Pat
 
 
 def placed_alike(path: Path, placed: Mapping[str, str]) -> list[str]:
-    """Remarks on the placement of textures (by name), which our maps lack; MapsError where two differ."""
+    """Remarks on ``placed`` (texture to its placement): our maps have none. MapsError if two differ."""
     ways = set(placed.values())
     if len(ways) > 1:
         said = ", ".join(f"{name} ({way or 'as it is'})" for name, way in placed.items())
@@ -121,7 +121,7 @@ def _numbers(values: Any) -> tuple[float, ...]:
 
 
 def beside(path: Path, name: str) -> Path:
-    """A texture that a document names, in its folder or below."""
+    """The path of a texture named in a document; MapsError: not in the document's folder or below."""
     file = files.inside(path.parent, name)
     if file is None:
         raise MapsError("textures beside the file", f"{name!r} in {path}", "copy them there")

@@ -1,9 +1,9 @@
 """Materials made by code: for the demo, the tests and a newcomer's first fit. Nothing is downloaded.
 
 Each material is a function of continuous patch coordinates and a random generator, so every resolution shows
-the same structure. It is drawn with two or more samples along a texel and area-averaged; relief is a height
-in patch sides. The brushes come first. Their coordinates are patch sides from the centre; :func:`painted`
-turns a :class:`Paint` into maps.
+the same structure. It is drawn with two or more samples along a texel's side, then area-averaged. Relief is a
+height in patch sides. The first functions here are brushes; their coordinates are patch sides from the
+centre. :func:`painted` converts a :class:`Paint` to maps.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from .resample import resized
 Colour = tuple[float, float, float]
 Value = Tensor | float | tuple[float, ...]
 
-# No bevel is steeper than 30 degrees: a flash near the lens hardly lights what turns further away.
+# The largest slope of the relief, 30 degrees: a flash near the lens hardly lights steeper surfaces.
 STEEPEST = math.tan(math.radians(30))
 
 
 def painted(paint: Paint) -> dict[str, Tensor]:
-    """The maps of some rows of a painted material, clamped as :func:`make_material` says."""
+    """The maps of some rows of a painted material, clamped to the ranges in :func:`make_material`."""
     down, right = torch.gradient(paint.height, spacing=1 / paint.height.shape[1])
     slope = torch.stack((right, -down), dim=-1)
     slope = slope * (STEEPEST / slope.norm(dim=-1, keepdim=True).clamp_min(STEEPEST))
@@ -49,7 +49,7 @@ class Paint:
 
     def add(self, mask: Tensor | float, diffuse: Value, specular: Value, roughness: Value,
             height: Tensor | float) -> Paint:
-        """Paint over with the opacity ``mask`` (R x R); values are numbers, colours, R x R or R x R x 3."""
+        """Add a layer of opacity ``mask`` (R x R); values are numbers, colours, R x R or R x R x 3."""
         mask = torch.as_tensor(mask).expand_as(self.height)
         for name, new in {"diffuse": diffuse, "specular": specular, "roughness": roughness}.items():
             new = torch.as_tensor(new)
@@ -62,8 +62,8 @@ class Paint:
 def noise(x: Tensor, y: Tensor, cells: int, rng: Generator, octaves: int = 4) -> Tensor:
     """Fractal value noise at x, y (patch sides): R x R, mean near 0, mostly within [-1, 1].
 
-    Each octave doubles the random values along a patch side (``cells`` in the first) and halves their
-    strength.
+    The first octave has ``cells`` random values along a patch side. Each further octave has twice as many, of
+    half the strength.
     """
     grid = 2 * torch.stack((x, y), dim=-1)[None]
     values = [torch.rand(1, 1, cells << i, cells << i, generator=rng) * 2 - 1 for i in range(octaves)]
@@ -72,7 +72,7 @@ def noise(x: Tensor, y: Tensor, cells: int, rng: Generator, octaves: int = 4) ->
 
 
 def cell_borders(x: Tensor, y: Tensor, n: int, rng: Generator) -> Tensor:
-    """Distance to the border of a Worley cell (n x n cells): (second - nearest seed distance) / 2."""
+    """Distance, in cells, to the border in n x n Worley cells: (second - least distance to a seed) / 2."""
     seeds = torch.rand(n + 2, n + 2, 2, generator=rng)
     u, v = (x.clamp(-0.499, 0.499) + 0.5) * n, (y.clamp(-0.499, 0.499) + 0.5) * n
     i, j = u.long(), v.long()
@@ -83,7 +83,7 @@ def cell_borders(x: Tensor, y: Tensor, n: int, rng: Generator) -> Tensor:
 
 
 def inside(distance: Tensor, soft: float = 0.003) -> Tensor:
-    """A mask of where a signed distance is negative, with an edge ``soft`` wide."""
+    """A mask: 1 where a signed distance is negative, else 0, with an edge ``soft`` wide."""
     return (0.5 - distance / soft).clamp(0, 1)
 
 
@@ -93,7 +93,7 @@ def bevel(distance: Tensor, width: float) -> Tensor:
 
 
 def mix(first: Colour, second: Colour, share: Tensor) -> Tensor:
-    """A colour between two, R x R x 3."""
+    """A mixed colour, R x R x 3: ``first`` at share 0, ``second`` at share 1."""
     return torch.lerp(torch.tensor(first), torch.tensor(second), share.clamp(0, 1)[..., None])
 
 
@@ -119,7 +119,7 @@ def make_material(name: str, resolution: int = 256, seed: int = 0) -> SVBRDF:
     Args:
         name: a key of :data:`MATERIALS`.
         resolution: R, texels along a side, at least 2.
-        seed: of everything random.
+        seed: seed of the random numbers.
 
     Raises:
         ConfigError: unknown name, or a resolution below 2.
@@ -131,7 +131,7 @@ def make_material(name: str, resolution: int = 256, seed: int = 0) -> SVBRDF:
     times, made = max(2, 512 // resolution), []
     for rows in strips(resolution):  # memory stays small
         first, last = rows.start * times, rows.stop * times
-        around = slice(max(0, first - 1), last + 1)  # slopes need the rows next to it
+        around = slice(max(0, first - 1), last + 1)  # slopes need the neighbouring rows
         x, y, _ = texel_positions(resolution * times, torch.float32, around).unbind(-1)
         fine = painted(MATERIALS[name](x, y, torch.Generator().manual_seed(seed)))
         maps = {name: resized(value[first - around.start:last - around.start], resolution,

@@ -1,7 +1,7 @@
-"""Maps in files: folders of images, one a map, with their encodings in ``material.json``.
+"""Maps in files: a folder has one image for each map, and the images' encodings in ``material.json``.
 
-:func:`load_maps` reads our own sets, those of the field and those of texture libraries; :func:`save_maps`
-writes ours.
+:func:`load_maps` reads our own sets, those of SVBRDF research ("the field") and those of texture libraries.
+:func:`save_maps` writes our own.
 """
 
 import contextlib
@@ -25,7 +25,7 @@ from .mtlx_set import mtlx_set
 from .naming import SUFFIXES
 
 DETAIL, FORMER_DETAIL = "detail", "look"
-MAP_FOLDERS = "maps", DETAIL, FORMER_DETAIL  # of a fit: expected values, and a plausible draw
+MAP_FOLDERS = "maps", DETAIL, FORMER_DETAIL  # of a fit: expected values; with plausible detail (two names)
 
 
 @entry()
@@ -33,28 +33,28 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
               normal: NormalConvention | None = None) -> SVBRDF:
     """Read a set of maps.
 
-    It reads our own folders; names of libraries and programs (words of ``names.toml``) with prefixes, sizes
-    and packed channels; and the field's four images and strips. EXR is preferred over PNG. A folder stands
-    for the ``maps/`` in it, or for its ``textures/`` if it has no maps. docs/formats.md has the list.
+    It reads our own folders, the field's four images and strips, and files named as libraries and programs
+    name them (words of ``names.toml``), with prefixes, sizes and packed channels. EXR is preferred over PNG.
+    If the folder has a ``maps/``, that is read; if it has no maps, its ``textures/``. List: docs/formats.md.
 
     Args:
-        folder: the folder; a .glb, .gltf or .mtlx file of one material; or the image of a strip. In a folder,
-            a strip is ``tex.png`` or ``strip.png``, and a .mtlx is preferred to the files' names.
-        bsdf: which set to read. Default: what material.json says, else, without metallic, ``roughconductor``
-            for the field's names and for a specular map in colour or beside gloss; else ``principled``, of
-            which a specular level makes a ``roughconductor``.
-        encoding: of files of 8 and 16 bits: ``linear``, ``gamma 2.2`` or ``srgb``, or by map
-            ``roughness=linear,diffuse=srgb``; default: what material.json says, else a profile, else gamma
-            2.2 for the field's names, and for all others colours sRGB, the rest linear. EXR is linear.
-        normal: ``gl`` (+Y up) or ``dx`` (+Y down); default: what material.json or the name says, else
-            what the curl of the slopes says, else ``gl``.
+        folder: a folder; a .glb, .gltf or .mtlx file of one material; or a strip (one image of all maps). In
+            a folder, ``tex.png`` and ``strip.png`` are strips, and a .mtlx is preferred to the files' names.
+        bsdf: which parameter set to read. Default: the one in material.json. If none is stated and there is
+            no metallic, ``roughconductor`` for the field's names and for a specular map in colour or beside
+            gloss. Else ``principled``, converted to ``roughconductor`` if there is a specular level.
+        encoding: of 8- and 16-bit files: ``linear``, ``gamma 2.2`` or ``srgb``, or one for each map:
+            ``roughness=linear,diffuse=srgb``. Default: material.json, else the file's colour profile, else
+            gamma 2.2 for the field's names; for other names, sRGB for colours, else linear. EXR is linear.
+        normal: ``gl`` (+Y up) or ``dx`` (+Y down). Default: as stated in material.json or the file's name,
+            else by the curl of the slopes, else ``gl``.
 
     Warns:
-        AssumedWarning: what is assumed, missing, or passed over.
-        MapsWarning: DirectX normals were found; values or up to 1 % of the normals were brought into range.
+        AssumedWarning: something is assumed, missing or not read.
+        MapsWarning: normals are or may be DirectX's; values, or up to 1 % of the normals, were corrected.
 
     Raises:
-        MapsError: naming what is missing or wrong. ConfigError: an unknown word in ``encoding``.
+        MapsError: something is missing or wrong. ConfigError: an unknown word in ``encoding``.
     """
     with _found(Path(folder), encoding, normal) as found:
         return read_set(found, bsdf).check()
@@ -62,7 +62,7 @@ def load_maps(folder: str | Path, bsdf: Bsdf | None = None, encoding: str | None
 
 @contextlib.contextmanager
 def _found(path: Path, encoding: str | None, normal: NormalConvention | None = None) -> Iterator[MapSet]:
-    """The set at a path, with the encodings that are asked for; its files last as long as the context."""
+    """The map set at a path, with the requested encodings; its temporary files exist only in the context."""
     asked = asked_codes(encoding, normal)
     with contextlib.ExitStack() as last:
         found = _set_of(path, last)
@@ -73,7 +73,7 @@ def _found(path: Path, encoding: str | None, normal: NormalConvention | None = N
 
 
 def _set_of(path: Path, last: contextlib.ExitStack) -> MapSet:
-    """The set of a document, of the document in a folder, or of a folder by the files' names."""
+    """The map set of a document, of a strip, of the document in a folder, or of the folder's files."""
     if path.suffix.lower() in (".glb", ".gltf") and path.is_file():
         return gltf_set(path, Path(last.enter_context(tempfile.TemporaryDirectory())))
     if path.suffix.lower() in SUFFIXES and path.is_file():
@@ -94,17 +94,17 @@ def _set_of(path: Path, last: contextlib.ExitStack) -> MapSet:
 
 
 def encodings(folder: str | Path, encoding: str | None = None) -> dict[str, str]:
-    """How the 8- and 16-bit files of maps are encoded, by map; see :func:`load_maps`."""
+    """The encoding of each map's file (not of normals): a dict, map to encoding; see :func:`load_maps`."""
     with _found(Path(folder), encoding) as found:
         return {name: found.code(name) for name in TITLES if name != "normal"}
 
 
 @entry()
 def save_maps(svbrdf: SVBRDF, folder: str | Path) -> SVBRDF:
-    """Write float32 EXR masters (linear), 16-bit PNGs (colours sRGB, the rest linear), material.json.
+    """Write float32 EXR masters (linear), 16-bit PNGs (colours sRGB, the rest linear) and material.json.
 
-    Normals are (n + 1) / 2 in both. A principled material also gets its diffuse and specular maps, for tools
-    that want those. Returns the material as :func:`load_maps` reads it, so normals differ by a rounding.
+    Normals are (n + 1) / 2 in both. For a principled material, diffuse and specular maps are written too, for
+    tools that need them. Returns the material as :func:`load_maps` reads it: its normals differ by rounding.
     MapsError: values out of range (:meth:`SVBRDF.check`), which :func:`load_maps` would refuse.
     """
     folder = Path(folder)

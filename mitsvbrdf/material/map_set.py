@@ -1,4 +1,4 @@
-"""Find the files of a material in a folder by their names, and read each file as its encoding says."""
+"""Find the files of a material in a folder by their names, and read each file in its encoding."""
 
 import warnings
 from collections.abc import Mapping
@@ -21,14 +21,14 @@ from .normals import OVERRULE, unit_normals
 from .resample import resized
 
 LEAST_ROUGHNESS = 1 / 512  # half an 8-bit step: 8-bit files hold any lower roughness as 0
-RINGING = 0.05  # how far outside of [0, 1] lossy coders of EXR may go
-TINT = 0.05  # mean difference of channels; above it a picture is coloured, or packs several maps
+RINGING = 0.05  # how far values may be outside of [0, 1], as a result of lossy coders of EXR
+TINT = 0.05  # mean spread of the channels; above it, an image is coloured or contains several maps
 LOWEST_F0 = 0.01  # half that of water
-USUAL_SIDE = 64  # texels of a material without a texture
+USUAL_SIDE = 64  # texels a side of a material without a texture
 STRIPS = "tex.png", "strip.png"  # names of strips of maps in folders
 FLAT = 0.5, 0.5, 1.0  # a flat normal as stored
-# ORDERS has the maps of a strip from left to right by the place of the normals, and how 8 bits are read: 0 is
-# Deschaintre 2018's, also with an input photo before them, 1 is MaterialGAN's.
+# Position of the normals in a strip: its maps from left to right, and the encoding of 8 bits. 0 is the order
+# of Deschaintre 2018, also with an input photo before the maps; 1 is that of MaterialGAN.
 DESCHAINTRE = "normal", "diffuse", "roughness", "specular"
 ORDERS = {0: (DESCHAINTRE, "linear"), 1: (("diffuse", "normal", "roughness", "specular"), "gamma 2.2")}
 
@@ -37,18 +37,18 @@ class MapSet(NamedTuple):
     """The files of a material before they are read."""
 
     place: Path  # the folder or file they were found in
-    sources: Mapping[str, Source]  # by map; f0 is the F0 of non-metals
-    stated: Mapping[str, str]  # encodings by map, as the user or material.json states them
-    habit: str = "srgb"  # the encoding of all others, a key of ENCODINGS
-    bsdf: Bsdf | None = None  # what material.json says
-    passed: tuple[str, ...] = ()  # names of what is not read
-    taken: float | None = None  # the share of diffuse light that the highlight takes; None: the F0
-    remarks: tuple[str, ...] = ()  # what is said of a document
+    sources: Mapping[str, Source]  # map -> its source; f0 is the F0 of non-metals
+    stated: Mapping[str, str]  # map -> its encoding, if stated by the user, material.json or a document
+    habit: str = "srgb"  # the encoding of the other maps, a key of ENCODINGS
+    bsdf: Bsdf | None = None  # as stated in material.json
+    passed: tuple[str, ...] = ()  # names of files that are not read
+    taken: float | None = None  # the share of diffuse light that is lost to the highlight; None: the F0
+    remarks: tuple[str, ...] = ()  # further texts for the warning of what is assumed
     way: str = OVERRULE  # how the user overrules an encoding; {} stands for the encoding
 
     def code(self, name: str) -> str:
-        """The encoding of a map's file. EXR is linear; else what is stated counts, then a colour profile (its
-        colours are converted to sRGB), then ``habit``. Of normals: ``gl``, ``dx`` or empty.
+        """The encoding of a map's file: linear for EXR, else as stated, else sRGB if the file has a colour
+        profile (its colours are converted), else by ``habit``. Normals: ``gl``, ``dx`` or empty.
         """
         usual, path = ENCODINGS[self.habit], self.sources.get(name, Source(None)).path
         if name != "normal" and path and path.suffix.lower() == ".exr":
@@ -69,7 +69,7 @@ class MapSet(NamedTuple):
 
 
 def find_maps(folder: Path) -> MapSet:
-    """The files of a folder of maps; see :func:`mitsvbrdf.material.map_files.load_maps`."""
+    """The map set of a folder; see :func:`mitsvbrdf.material.map_files.load_maps`."""
     if (folder / "maps").is_dir():
         folder = folder / "maps"
     if not folder.is_dir():
@@ -92,10 +92,10 @@ def find_maps(folder: Path) -> MapSet:
 
 
 def strip_set(path: Path, stated: Mapping[str, str]) -> MapSet:
-    """Four square maps side by side in one file, or five pictures of which the last four are maps.
+    """A strip: four square maps side by side in one file, or five squares of which the last four are maps.
 
-    The normals tell the order: of the first two maps they are the one whose mean is nearer to flat.
-    MapsError: another number of squares.
+    The order follows from the normals: of the first two maps, the one whose mean is nearer to flat.
+    MapsError: neither four nor five squares.
     """
     image = images.read_image(path, MapsError, data=True)
     side, count = image.shape[0], image.shape[1] // image.shape[0]
@@ -146,7 +146,7 @@ def _has_lobes(found: MapSet) -> bool:
 
 
 def _read(found: MapSet, bsdf: Bsdf, f0: str = "") -> SVBRDF:
-    """The material of a parameter set; with ``f0`` (the name of an F0 map), as diffuse and specular."""
+    """The material of one BSDF; if ``f0`` (the name of an F0 map) is given, as ``roughconductor``."""
     channels, there = dict(CHANNELS[bsdf]), found.sources
     for name in channels:
         if name not in there:
@@ -161,7 +161,7 @@ def _read(found: MapSet, bsdf: Bsdf, f0: str = "") -> SVBRDF:
     _say(found, {name: there[name] for name in channels}, maps)
     if not f0:
         return SVBRDF(bsdf, maps)
-    dielectric, most = maps.pop(f0), FULL_LEVEL if found.place.is_dir() else torch.inf  # a document's is cut
+    dielectric, most = maps.pop(f0), FULL_LEVEL if found.place.is_dir() else torch.inf  # documents: clamped
     if dielectric.min() < 0 or dielectric.max() > most:
         raise MapsError("a specular level in [0, 1]", str(there[f0].path or "numbers"), "check its encoding")
     dielectric = dielectric.clamp_max(1)
@@ -170,7 +170,7 @@ def _read(found: MapSet, bsdf: Bsdf, f0: str = "") -> SVBRDF:
 
 
 def _of_one_size(found: MapSet, maps: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """Square maps of one size: a document's maps are resized to the largest, constants to the common one."""
+    """Square maps of one size. Constants are enlarged to it; maps of a document, to the largest of them."""
     sizes = {tuple(value.shape[:2]) for value in maps.values()} - {(1, 1)} or {(USUAL_SIDE, USUAL_SIDE)}
     side = max(max(sizes))
     if len(set().union(*sizes)) > 1 and not (found.place.is_file() and all(h == w for h, w in sizes)):
@@ -181,7 +181,7 @@ def _of_one_size(found: MapSet, maps: Mapping[str, Tensor]) -> dict[str, Tensor]
 
 
 def _say(found: MapSet, used: Mapping[str, Source], maps: Mapping[str, Tensor]) -> None:
-    """Warn in one line of what is assumed of a set, what is missing, and what is passed over."""
+    """Warn in one line: what is assumed of a map set, which maps are missing, and what is not read."""
     named = {name: source.path.name for name, source in used.items() if source.path}
     coded = {name: found.code(name) for name, file in named.items()
              if name != "normal" and name not in found.stated and not file.lower().endswith(".exr")}
@@ -217,7 +217,7 @@ def _say(found: MapSet, used: Mapping[str, Source], maps: Mapping[str, Tensor]) 
 
 
 def read_file(path: Path, name: str, channels: int) -> Tensor:
-    """One map from a file of any name, read as a set of this file and the ``material.json`` beside it."""
+    """Read one map from a file of any name. A ``material.json`` beside it may state the encoding."""
     held = named_sources(path)
     plain = not held or path.stem.lower() in FIELD.get(name, ())
     stated = read_material_json(path.parent).get("encoding", {})
@@ -230,9 +230,9 @@ def read_file(path: Path, name: str, channels: int) -> Tensor:
 
 def read_map(source: Source, name: str, channels: int, code: str, way: str = OVERRULE, document: bool = False
              ) -> Tensor:
-    """One map from its file, linear, H x W x ``channels``. ``code`` is the encoding of a file of 8 or 16
-    bits; of normals ``gl``, ``dx`` or empty. The file's profile is used only with the code sRGB, and never in
-    a ``document``.
+    """One map from its file, linear, H x W x ``channels``. ``code`` is the encoding of an 8- or 16-bit file;
+    of normals ``gl``, ``dx`` or empty. The colour profile of that file is used only if the code is sRGB and
+    the map is not from a ``document``.
     """
     assert source.path is not None
     path, exr = source.path, source.path.suffix.lower() == ".exr"
@@ -261,7 +261,7 @@ def read_map(source: Source, name: str, channels: int, code: str, way: str = OVE
     image = 1 - image if source.inverted else image
     low = float(image.min())
     image = _without_ringing(image, path) if exr else image
-    # 8-bit files and ringing can leave a roughness of 0, which stands for at most half a step
+    # 8-bit files and clamped values can have a roughness of 0: it means half an 8-bit step or less
     mirror = name == "roughness" and (not exr or low < 0 <= float(image.min()))
     return image.clamp_min(LEAST_ROUGHNESS) if mirror else image
 
@@ -271,7 +271,7 @@ def _tint(image: Tensor) -> float:
 
 
 def _without_ringing(image: Tensor, path: Path) -> Tensor:
-    """Clamp an EXR's values slightly outside of [0, 1], as lossy coders leave them, with a warning."""
+    """Clamp values of an EXR that lossy coders left slightly outside of [0, 1], and warn."""
     low, high = float(image.min()), float(image.max())
     if 0 <= low and high <= 1 or not -RINGING <= low or not high <= 1 + RINGING:
         return image

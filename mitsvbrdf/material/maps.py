@@ -1,4 +1,4 @@
-"""The material value type: an SVBRDF as named maps, checked once.
+"""The type of a material: an SVBRDF as named maps. Names, shapes and types are checked once, at creation.
 
 Maps are linear tensors of shape R x R x C, row 0 at the top. Two parameter sets exist, named after the
 Mitsuba plugins that shade them; :data:`CHANNELS` lists their maps.
@@ -30,22 +30,22 @@ class _ByBsdf(dict[Bsdf, dict[str, int]]):
         raise ConfigError(f"a BSDF of {get_args(Bsdf)}", repr(bsdf), "choose one of these")
 
 
-CHANNELS = _ByBsdf({  # of each map; another name of a BSDF raises ConfigError
+CHANNELS = _ByBsdf({  # number of channels of each map; an unknown BSDF raises ConfigError
     "roughconductor": {"diffuse": 3, "specular": 3, "roughness": 1, "normal": 3},
     "principled": {"base_color": 3, "metallic": 1, "roughness": 1, "normal": 3},
 })
 COLOURS = ("diffuse", "specular", "base_color")
 
 UNIT = 1e-3  # how far a normal's length may be from 1
-# 89.9994 degrees; 16-bit files reach 1.5e-5. Closer to the plane, float32 shading frames have no digits left
+# Tilt 89.9994 degrees. 16-bit files reach z = 1.5e-5. At lower z, float32 shading frames have no digits left.
 LOWEST_Z = 1e-5
 
 # F0 of Mitsuba's `principled` dielectric part with its default `specular` = 0.5 (eta = 1.5).
 DIELECTRIC_F0 = 0.04
-# A prior, used where nothing else tells how bright the light was: the median diffuse albedo, and the standard
-# deviation of its natural logarithm. Ten known materials have 0.001 to 0.22.
+# A prior, used if the brightness of the light is unknown: median of the diffuse albedo, and standard
+# deviation of its natural logarithm. Ten known materials have albedos of 0.001 to 0.22.
 USUAL_ALBEDO = 0.12, 1.2
-WHITEST = 0.95  # diffuse albedo that 99 % of the texels stay below
+WHITEST = 0.95  # 99 % of the texels have a lower diffuse albedo
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,7 @@ class SVBRDF:
         return self.map(Tensor.detach)
 
     def check_finite(self) -> None:
-        """Raise NotFiniteError, naming map and texel, unless every value is finite."""
+        """Raise NotFiniteError if a value is NaN or infinite; the message has map and texel."""
         for name, value in self.maps.items():
             if not finite(value):
                 bad = ~torch.isfinite(value)
@@ -116,7 +116,7 @@ class SVBRDF:
                                      "mend or re-export the map")
 
     def check(self) -> SVBRDF:
-        """Itself, when every value is finite and in range; else MapsError names the map and the values."""
+        """The same material. MapsError: a value is not finite or out of range; the message has the map."""
         self.check_finite()
         for name, value in self.maps.items():
             if name == "normal":
@@ -141,7 +141,7 @@ class SVBRDF:
         return self
 
     def as_roughconductor(self) -> SVBRDF:
-        """Diffuse and specular maps of a principled material. From above only Burley's diffuse differs."""
+        """The material as ``roughconductor``. With light at the camera, only Burley's factor is lost."""
         if self.bsdf == "roughconductor":
             return self
         base, metallic = self["base_color"], self["metallic"]
@@ -151,7 +151,7 @@ class SVBRDF:
 
     @kinds_checked
     def resized(self, resolution: int) -> SVBRDF:
-        """At another resolution: area average down, bilinear up; unit normals. ConfigError: one below 1."""
+        """The material resized: area average down, bilinear up; unit normals. ConfigError: below 1 texel."""
         if resolution < 1:
             raise ConfigError("a resolution of 1 or more", str(resolution), "ask for e.g. 256")
         if resolution == self.resolution:
@@ -167,8 +167,8 @@ def flat(resolution: int, bsdf: Bsdf = "roughconductor", dtype: torch.dtype = to
     """A constant material with an up-pointing normal.
 
     Args:
-        values: a value for each map but the normal, e.g. ``diffuse=0.5``; default: 0.5 for colours and
-            roughness, 0.04 specular, 0 metallic. Maps of the other BSDF are ignored. ConfigError: no map.
+        values: a value for each map but the normal, e.g. ``diffuse=0.5``. Default: 0.04 for specular, 0
+            for metallic, else 0.5. Maps of the other BSDF are ignored. ConfigError: an unknown map.
     """
     defaults = {"diffuse": 0.5, "specular": 0.04, "roughness": 0.5, "base_color": 0.5, "metallic": 0.0}
     if unknown := set(values) - set(defaults):
@@ -180,7 +180,7 @@ def flat(resolution: int, bsdf: Bsdf = "roughconductor", dtype: torch.dtype = to
 
 
 def finite(value: Tensor) -> bool:
-    """Whether a tensor holds no NaN and no infinity; this needs no memory beside the tensor."""
+    """Whether all values of a tensor are finite; the test needs no further memory."""
     if not value.is_floating_point() or not value.numel():
         return True
     return bool(torch.stack(value.detach().aminmax()).isfinite().all())
@@ -194,7 +194,7 @@ def shown_map(name: str, value: Tensor) -> Tensor:
 
 
 def numbers_of(name: str, value: Tensor) -> Tensor:
-    """A map in the values that errors are measured in (colours encoded); of a normal, x and y."""
+    """A map as the numbers whose errors are measured: colours are encoded, normals are (x, y) in [0, 1]."""
     if name == "normal":
         return (value[..., :2] + 1) / 2
     return color.encode(value) if name in COLOURS else value

@@ -1,4 +1,4 @@
-"""The maps of a MaterialX document, and of the textures beside it.
+"""The maps of a MaterialX document, from its numbers and the textures beside it.
 
 Source: MaterialX specification 1.38 and 1.39, its standard nodes, and the surface shaders of its libraries.
 """
@@ -24,7 +24,7 @@ NODES = NAMES["materialx"]
 
 
 def mtlx_set(path: Path) -> MapSet:
-    """The one material of a document; MapsError for several, and for nodes that the reader does not know."""
+    """The one material of a document. MapsError: none or several, or a node that the reader does not know."""
     try:
         if b"<!DOCTYPE" in read_regular(path, LARGEST).replace(b"\0", b"").upper():
             raise ValueError("a DOCTYPE")
@@ -75,7 +75,7 @@ class _Document:
                       remarks=(*remarks, *placed_alike(self.path, self.placed)))
 
     def source(self, entry: ET.Element) -> Source:
-        """What an input or output is connected to, or its numbers, linear."""
+        """The source that an input or output is connected to, or its own numbers, linear."""
         holder = self.above[entry]
         scope = holder if entry.tag == "output" else self.above.get(holder, self.root)
         if name := entry.get("interfacename"):
@@ -93,7 +93,7 @@ class _Document:
         return _channel(found, entry.get("channel") or entry.get("channels") or "")
 
     def node(self, node: ET.Element, output: str) -> Source:
-        """What a node outputs: an image or a channel of one, possibly times numbers."""
+        """The source that a node outputs: an image or one of its channels, possibly times numbers."""
         inputs, kind, said = _inputs(node), node.tag, f"{node.tag} {node.get('name')!r}"
         if kind in NODES["images"].split():
             return _channel(self.image(node, inputs), output)
@@ -168,7 +168,7 @@ def _channel(source: Source, name: str) -> Source:
 
 
 def _times(one: Source, other: Source) -> Source:
-    """The product of two sources, of which at least one is a number, or three numbers."""
+    """The product of two sources; at least one must be one or three numbers, else ValueError."""
     if one.path and other.path:
         raise ValueError(f"a product of two images, {one.path.name} and {other.path.name}")
     size = max(len(one.factor), len(other.factor))

@@ -1,4 +1,4 @@
-"""Which file of a folder is which map, by the names that texture libraries, programs and the field give."""
+"""Find which file of a folder is which map, by the names of texture libraries, programs and research."""
 
 import os
 import re
@@ -10,10 +10,10 @@ from typing import NamedTuple
 from ..errors import MapsError
 
 NAMES = tomllib.loads(Path(__file__).with_name("names.toml").read_text(encoding="utf-8"))
-FILE_NAMES: dict[str, dict[str, str]] = NAMES["files"]  # of each map as `export` writes it
-SURFACES: dict[str, dict[str, tuple[str, float]]] = NAMES["shaders"]  # inputs and their defaults
+FILE_NAMES: dict[str, dict[str, str]] = NAMES["files"]  # naming -> map -> file name of `export`
+SURFACES: dict[str, dict[str, tuple[str, float]]] = NAMES["shaders"]  # map -> input, default
 
-# The field's names. Their 8-bit files have gamma 2.2 where nothing else is stated.
+# The names in SVBRDF research ("the field"). Their 8-bit files have gamma 2.2 if nothing else is stated.
 FIELD = {"diffuse": ("diffuse", "dif"), "specular": ("specular", "spe"), "roughness": ("roughness", "rgh"),
          "normal": ("normal", "nom", "normal_dx", "nom_dx")}
 # Suffixes of images, the best first.
@@ -24,7 +24,7 @@ _CONVENTIONS = {"gl": ("gl", "opengl", "ogl"), "dx": ("dx", "directx", "d3d")}
 KINDS = {word: kind for kind, words in NAMES["words"].items() for word in words.split()} | {
     join: f"normal {convention}" for convention, marks in _CONVENTIONS.items() for mark in marks
     for normal in NAMES["words"]["normal"].split() for join in (normal + mark, mark + normal)}
-# Channels of packed maps by the letters of their names. glTF's metallicRoughness has them in G and B.
+# Letters in the name of a packed file: its channels. glTF's metallicRoughness: roughness in G, metallic in B.
 _LETTERS = {"o": "occlusion", "a": "occlusion", "r": "roughness", "m": "metallic"}
 PACKED = {word: tuple(_LETTERS[letter] for letter in word)
           for word in ("arm", "orm", "rma", "rmo", "mra", "mro", "ram", "rom", "mar", "mor", "amr", "omr")}
@@ -38,20 +38,20 @@ ALPHA = 3  # index of the alpha channel
 class Source(NamedTuple):
     """Where a map comes from."""
 
-    path: Path | None  # an image file; None: factor is all
-    channel: int | None = None  # which of its channels, of a packed map
-    inverted: bool = False  # whether it holds one minus the map, as gloss does
-    convention: str = ""  # of normals, where the name states it: gl or dx
-    factor: tuple[float, ...] = (1.0,)  # on the linear map, one for all channels or one each
-    part: int | None = None  # which of the squares that lie side by side in the file
+    path: Path | None  # an image file; None: the map is the constant ``factor``
+    channel: int | None = None  # the map's channel in a packed file
+    inverted: bool = False  # whether the file contains 1 - map, as for gloss
+    convention: str = ""  # of normals: gl or dx, if the file's name states it
+    factor: tuple[float, ...] = (1.0,)  # multiplies the linear map: one for all channels, or one for each
+    part: int | None = None  # the map's square in a strip, from the left
 
 
 def kind_of(stem: str, dropped: int = 0) -> tuple[str, ...]:
     """The map that a file's name (without suffix) means, or the maps of its three or four channels; empty
-    where it means none. The first ``dropped`` words of the name are ignored.
+    if it means no map. The first ``dropped`` words of the name are ignored.
     """
     if (short := WORKFLOW.sub("", stem)) != stem and (
-            (known := kind_of(short, dropped)) or re.search(r"_[A-Z]{3,}\d*$", short)):  # a map's word
+            (known := kind_of(short, dropped)) or re.search(r"_[A-Z]{3,}\d*$", short)):  # map's word last
         return known
     parts = words(stem)[dropped:]
     for end in (1, 2):
@@ -71,22 +71,22 @@ def kind_of(stem: str, dropped: int = 0) -> tuple[str, ...]:
         return tuple(kinds[-3:]) if "occlusion" in kinds[-3:] else GLTF_PACKED
     if "other" in kinds:
         return ("other",)
-    gloss = kinds[1:] and kinds[-1] == "glossiness"  # beside another map: Unity has it in the alpha
+    gloss = kinds[1:] and kinds[-1] == "glossiness"  # after another map: Unity has it in alpha
     return (kinds[-2], "other", "other", "glossiness") if gloss else tuple(kinds[-1:])
 
 
 def words(stem: str) -> list[str]:
-    """The words of a name in small letters, without sizes such as 2K and 4096 and kinds of files."""
+    """The words of a name in lower case, without sizes (2K, 4096) and file types (png)."""
     parts = re.findall(r"[A-Za-z]+\d[A-Za-z0-9]*|[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", SIZES.sub(" ", stem))
     return [part.lower() for part in parts]
 
 
 def sources(folder: Path) -> tuple[dict[str, Source], list[Path]]:
-    """Maps by kind (those of SVBRDFs, and ``specular_level``), and the images that are none of them;
-    MapsError for two files of one map.
+    """The source of each map (of SVBRDFs, and ``specular_level``), and the images that are not used.
+    MapsError: two files fit one map equally well.
 
-    Words that the names begin with in common, such as the material's, mean nothing: ``rusty_metal_rough``
-    beside ``rusty_metal_diff`` is a roughness.
+    Words that all names begin with, such as the material's, are ignored: ``rusty_metal_rough`` beside
+    ``rusty_metal_diff`` is a roughness.
     """
     images = sorted(p for p in folder.iterdir() if p.suffix.lower() in SUFFIXES and p.name[0] != "."
                     and p.is_file())
@@ -112,7 +112,7 @@ def sources(folder: Path) -> tuple[dict[str, Source], list[Path]]:
 
 
 def named_sources(path: Path, dropped: int = 0) -> dict[str, Source]:
-    """The maps that a file holds by its name (:func:`kind_of`)."""
+    """The maps in a file according to its name (:func:`kind_of`): a dict, map to source."""
     kinds = [kind.partition(" ") for kind in kind_of(path.stem, dropped)]
     return {"roughness" if name == "glossiness" else name: Source(
         path, k if len(kinds) > 1 and _CODES.get(name) != "srgb" else None, name == "glossiness", convention)
@@ -120,7 +120,7 @@ def named_sources(path: Path, dropped: int = 0) -> dict[str, Source]:
 
 
 def _in_common(stems: list[str]) -> int:
-    """How many words all names begin with. A name of these words alone belongs to a preview."""
+    """How many leading words to ignore: all names share them. A name of only these words is a preview's."""
     each = sorted(map(words, stems), key=len)
     first = os.path.commonprefix(each)
     if len(each) > 2 and len(each[1]) > len(each[0]) == len(first):
@@ -130,7 +130,7 @@ def _in_common(stems: list[str]) -> int:
 
 
 def is_of_field(chosen: Mapping[str, Source]) -> bool:
-    """Whether the files have the field's plain names: their maps then are diffuse and specular."""
+    """Whether the files have the field's names; then the maps are diffuse and specular."""
     plain = {name: name if source.part is not None else source.path.stem.lower()
              for name, source in chosen.items() if source.path}
     return "diffuse" in plain and not {"base_color", "metallic"} & set(plain) and all(

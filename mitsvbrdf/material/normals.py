@@ -1,4 +1,4 @@
-"""Normals as files hold them: which numbers are vectors, and which way y points."""
+"""Read normals from files: find how vectors are stored, and whether y points up or down."""
 
 import warnings
 from collections.abc import Callable
@@ -11,30 +11,30 @@ from torch import Tensor
 from ..errors import MapsError, MapsWarning
 from .maps import LOWEST_Z
 
-# Normals of published maps point into the surface at up to 0.2 % of the texels: networks' noise, corners.
-FEW = 0.01  # share of texels up to which that is mended; a map with more has another convention
-RAISED = 1 / 255  # the z they are given: the lowest above 0 that an 8-bit file holds
-GREY = 0.1  # half the texels of a normal map have channels that differ by more: straight up by 0.5
+# In published maps, up to 0.2 % of the normals point into the surface: noise of networks, corners.
+FEW = 0.01  # these are corrected up to this share of the texels; a map with more has another convention
+RAISED = 1 / 255  # z of a corrected normal: the lowest z above 0 in an 8-bit file
+GREY = 0.1  # in half the texels of a normal map, channels differ by more; straight up, by 0.5
 LENGTH = 0.25  # largest median of |length - 1|; the worst of sixty published maps has 0.04
-# The third channel is empty if it ranges over EMPTY at most, x or y over more than 4 EMPTY, and if it is 0 or
-# lengths differ from 1 by more than SLOPPY on average, more than the rounding of gentle slopes to 8 bits.
+# The third channel is unused if its range is EMPTY or less, the range of x or y is above 4 EMPTY, and it is 0
+# or lengths are off by more than SLOPPY on average (8-bit rounding of gentle slopes causes less).
 EMPTY, SLOPPY = 2 / 255, 0.02
 
-# The curl of slopes is 0 with the right sign of y. A sign is proven where the energy of its curl is less than
-# a quarter of the other sign's; DirectX only if nearly all blocks agree, too.
+# With the right sign of y, the curl of the slopes is 0. A sign is proven if its curl has less than a quarter
+# of the other curl's energy. For DirectX, nearly all blocks must agree, too.
 PROVEN, AGREED, BLOCKS = 1 / 4, 0.9, 8
-LEVEL = 1 / 255  # mean deviation of slopes along y below which its sign hardly shows
+LEVEL = 1 / 255  # mean deviation of the slopes along y; if it is lower, the sign of y cannot be found
 OVERRULE = "--encoding {} (or material.json)"  # how the user overrules a convention
-BAND = 64  # rows that are looked at together
+BAND = 64  # rows that are processed together
 STEEPEST = 0.05  # smallest z that slopes are computed with
 
 
 def unit_normals(image: Tensor, path: Path, convention: str = "", way: str = OVERRULE) -> Tensor:
-    """Unit normals, +Y up, H x W x 3, of what a file holds.
+    """Unit normals, +Y up, H x W x 3, from the pixels of a file.
 
-    A file holds (n + 1) / 2, or signed vectors (EXR), or x and y alone. ``convention`` is ``gl`` or ``dx``
-    where it is stated; else the curl decides. MapsError: no normals. MapsWarning: the curl found DirectX, or
-    leaves it possible; a few normals were lifted. The image is overwritten.
+    The pixels are (n + 1) / 2, or signed vectors (EXR), or x and y alone. ``convention`` is ``gl`` or ``dx``
+    if it is stated; else the curl decides. MapsError: no normals. MapsWarning: the curl finds DirectX, or
+    does not decide; a few normals pointed into the surface and were raised. The image is overwritten.
     """
     normal = _vectors(image, path)
     for rows in normal.split(BAND):
@@ -50,9 +50,9 @@ def unit_normals(image: Tensor, path: Path, convention: str = "", way: str = OVE
 
 
 def directx_by_curl(normal: Tensor) -> bool | None:
-    """Whether normals fit a surface only with y turned around; None: the slopes do not tell.
+    """Whether normals fit a surface only with y turned around; None: the slopes do not decide.
 
-    The slopes p = dh/dx and q = dh/dy of heights h satisfy dp/dy = dq/dx.
+    The slopes p = dh/dx and q = dh/dy of heights h satisfy dp/dy = dq/dx. Small or nearly flat maps: False.
     """
     slopes = -normal[..., :2].float() / normal[..., 2:].float().clamp_min(STEEPEST)
     across, up = slopes[..., 1].diff(dim=1), -slopes[..., 0].diff(dim=0)  # dq/dx, dp/dy; rows go down
@@ -105,7 +105,7 @@ def _off(image: Tensor, read: Callable[[Tensor], Tensor] = Tensor.detach,
 
 
 def _lifted(normal: Tensor, path: Path) -> Tensor:
-    """Unit normals, H x W x 3; a few that point into the surface are lifted, with a warning."""
+    """Unit normals, H x W x 3. If only a few point into the surface, they are raised, with a warning."""
     under = normal[..., 2:] < LOWEST_Z
     count, texels = int(under.sum()), under.numel()
     if not 0 < count <= FEW * texels:

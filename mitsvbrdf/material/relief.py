@@ -1,4 +1,4 @@
-"""The relief that a normal map stands for: its height, and how much of the sky each texel sees in it."""
+"""The relief of a normal map: its heights, and how much of the sky each texel sees."""
 
 import math
 
@@ -9,19 +9,19 @@ from torch import Tensor
 
 from .resample import enlarged
 
-STEEPEST = 10.0  # largest slope, 84 degrees: a normal in the plane would rise hundreds of patch sides
-DIRECTIONS = 16  # around a texel, in which its horizon is looked for
+STEEPEST = 10.0  # largest slope, 84 degrees: a normal in the plane would mean heights of hundreds of sides
+DIRECTIONS = 16  # directions in which the horizon of a texel is computed
 FINEST = 512  # most texels a side for occlusion; larger reliefs are reduced first, the result enlarged
-FARTHEST = 0.25  # distance of what may hide the sky, in patch sides
+FARTHEST = 0.25  # largest distance of a point that may hide the sky, in patch sides
 
 
 def heights(normal: Tensor, periodic: bool = False) -> Tensor:
     """Heights whose slopes fit the normals in least squares: R x R in patch sides, mean 0.
 
-    The slope between two neighbours is the mean of theirs; at the border it is free. This is Poisson's
-    equation with Neumann's condition, solved exactly by a cosine transform (Simchony, Chellappa and Shao
-    1990, after Frankot and Chellappa 1988). Slopes above :data:`STEEPEST` are clamped. In a periodic material
-    the last texel continues in the first, and the mean slope is dropped.
+    The slope between two neighbours is the mean of their slopes; across the border it is free. This is
+    Poisson's equation with Neumann's condition, solved exactly by a cosine transform (Simchony, Chellappa and
+    Shao 1990, after Frankot and Chellappa 1988). Slopes above :data:`STEEPEST` are clamped. In a periodic
+    material the last texel continues in the first, and the mean slope is dropped.
     """
     size, z = len(normal), normal[..., 2].double().clamp_min(1 / STEEPEST)
     right, down = -normal[..., 0].double() / z / size, normal[..., 1].double() / z / size
@@ -50,17 +50,17 @@ def _laplacian(rows: int, step: float, columns: int = 0) -> Tensor:
 
 
 def occlusion(height: Tensor, periodic: bool = False) -> Tensor:
-    """Share of an even sky's light that each texel of a relief sees, R x R in [0, 1].
+    """Share of the light of a uniform sky that reaches each texel of a relief, R x R in [0, 1].
 
-    The horizon of a direction is the steepest slope up to any point within :data:`FARTHEST`. Of the light
-    from there a flat texel gets cos^2 of the horizon's elevation, averaged over :data:`DIRECTIONS`. Heights
-    are R x R in patch sides, row 0 at the top; outside they stay constant, or repeat if ``periodic``.
+    The horizon in a direction is the steepest upward slope to any point within :data:`FARTHEST`. From
+    there, a flat texel gets the share cos^2 (elevation of the horizon); the result is the mean over all.
+    Heights are R x R in patch sides, row 0 at the top; outside they stay constant, or repeat if ``periodic``.
 
     Source: Bavoil, Sainz and Dimitrov 2008, "Image-space horizon-based ambient occlusion".
     """
     size = len(height)
     if size > FINEST:
-        # Bilinear, since area averages over 1 and 2 texels in turn would make steps.
+        # Bilinear: area averages over alternately 1 and 2 texels would make steps.
         coarse = F.interpolate(height[None, None], (FINEST, FINEST), mode="bilinear", antialias=True)[0, 0]
         return enlarged(occlusion(coarse, periodic)[None], size)[0]
     rim = max(1, round(FARTHEST * size))

@@ -11,7 +11,7 @@ from torch import Tensor
 def resized(images: Tensor, side: int, rows: int | None = None) -> Tensor:
     """Images (R x R x C, or N of them) in ``side`` pixels a side: area averages down, bilinear up.
 
-    ``rows``: rows of the result, where the images are not square.
+    ``rows``: rows of the result, if the images are not square.
     """
     how = {"mode": "area"} if side <= images.shape[-2] else {"mode": "bilinear", "align_corners": False}
     return _interpolated(images, (rows or side, side), **how)
@@ -24,23 +24,23 @@ def area_averaged(images: Tensor, side: int) -> Tensor:
 
 
 def averaged_rows(part: Callable[[slice], Tensor], count: int, height: int, width: int = 0) -> Tensor:
-    """Images of ``count`` rows, area-averaged to height x width (default: square); ``part`` gives rows."""
+    """Images of ``count`` rows, area-averaged to height x width (default: square); ``part`` returns rows."""
     rows = (slice(k * count // height, -((k + 1) * -count // height)) for k in range(height))
     return torch.cat([_interpolated(part(each), (1, width or height), mode="area") for each in rows], dim=-3)
 
 
 def enlarged_rows(images: Tensor, side: int, rows: slice) -> Tensor:
-    """Some rows of images (N x R x R x C) bilinearly enlarged to ``side`` pixels a side."""
+    """Only these rows of the bilinear enlargement of images (N x R x R x C) to ``side`` pixels a side."""
     place = ((torch.arange(rows.start, rows.stop) + 0.5) * (images.shape[1] / side) - 0.5).clamp_min(0)
     above = place.long()
     below, share = (above + 1).clamp_max(images.shape[1] - 1), (place - above)[:, None, None]
     upper, lower = (_interpolated(images[:, at], (len(place), side), mode="bilinear", align_corners=False)
                     for at in (above, below))
-    return (upper.double() * (1 - share) + lower * share).float()  # rounded as in a whole enlarged image
+    return (upper.double() * (1 - share) + lower * share).float()  # rounded as if enlarged as a whole
 
 
 def enlarged(planes: Tensor, side: int) -> Tensor:
-    """Planes (C x R x R) in ``side`` pixels a side, bilinear; contiguous."""
+    """Planes (C x R x R) enlarged to ``side`` pixels a side, bilinear; contiguous."""
     return F.interpolate(planes[None], (side, side), mode="bilinear", align_corners=False)[0].contiguous()
 
 

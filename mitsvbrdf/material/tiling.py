@@ -1,4 +1,4 @@
-"""A material whose edges meet: opposite borders overlap and are cut where they differ least.
+"""Make a material seamless: opposite borders overlap, and are cut where they differ least.
 
 Source: Efros and Freeman 2001, "Image quilting for texture synthesis and transfer".
 """
@@ -12,22 +12,22 @@ from ..errors import MapsError
 from .maps import COLOURS, SVBRDF
 from .resample import area_averaged
 
-COARSE = 128  # texels a side at which overlaps are compared, at most
-NARROWEST, WIDEST = 8, 2  # overlaps that are tried: the side over these, and all between
-# Opposite borders of a seamless material differ at most so many times as much as neighbours beside them.
-# Tiles that end amid their grout reach 1.1, borders that do not belong together 1.6 and more.
+COARSE = 128  # overlaps are compared at this many texels a side, or fewer
+NARROWEST, WIDEST = 8, 2  # overlaps of side / NARROWEST to side / WIDEST are tried
+# A material is seamless up to this ratio: difference of opposite borders / difference of their neighbours.
+# Tiles cut in the middle of their grout reach 1.1, borders that do not fit have 1.6 and more.
 EDGES_MEET = 1.5
-BESIDE = 16  # the side over this: how far from the border neighbours count
-LEAST_STEP = 1 / 255  # differences below one step of 8 bits count as one
+BESIDE = 16  # neighbours within side / BESIDE of the border are compared
+LEAST_STEP = 1 / 255  # differences below one 8-bit step count as one step
 FEATHER = 16  # overlap / FEATHER is the width over which the two sides blend at the cut
 
 
 def seamless(svbrdf: SVBRDF) -> tuple[SVBRDF, float]:
-    """The material with edges that meet left to right and top to bottom, all maps cut along the same lines.
+    """Make edges meet left to right and top to bottom; all maps are cut along the same lines.
 
-    The overlap is the one whose best cuts differ least, so that tiles and weaves end where they began. It is
-    the same both ways, so a square stays a square. A seamless material comes back as it is. Returns the
-    material at its resolution and the share of its side that is left. MapsError: fewer than 16 texels a side.
+    The overlap is the one with the least differences along its cuts, so periods of tiles and weaves stay
+    whole. It is the same in both directions. A seamless material is not changed. Returns the material at its
+    old resolution, and the share of its side that remains. MapsError: fewer than 16 texels a side.
     """
     size = svbrdf.resolution
     if size < 2 * NARROWEST:
@@ -47,7 +47,7 @@ def seamless(svbrdf: SVBRDF) -> tuple[SVBRDF, float]:
 
 
 def seam(svbrdf: SVBRDF) -> float:
-    """How visible the edges of a repeated material are: at 1, no more than the texels beside them.
+    """How visible the edges of a repeated material are; 1: no more than borders of texels near them.
 
     RMS difference across opposite borders, divided by that of neighbours near them; worst map and edge.
     """
@@ -63,7 +63,7 @@ def seam(svbrdf: SVBRDF) -> float:
 
 
 def _enlarged(svbrdf: SVBRDF, size: int) -> SVBRDF:
-    """Enlarge a material whose edges meet: bilinear, across the edges too."""
+    """Enlarge a seamless material: bilinear, also across the edges."""
     at = (torch.arange(size, dtype=torch.float64) + 0.5) * svbrdf.resolution / size - 0.5
     low, share = at.floor().long(), (at - at.floor())[:, None, None]
     maps = {}
@@ -81,7 +81,7 @@ def _split(layers: Tensor, svbrdf: SVBRDF) -> tuple[Tensor, ...]:
 
 
 def _looks(layers: Tensor, svbrdf: SVBRDF) -> Tensor:
-    """The layers with colours encoded, so that differences are as an eye notices them."""
+    """The layers with colours encoded: equal differences then are about equally visible."""
     return torch.cat([_look(name, value) for name, value in zip(svbrdf.maps, _split(layers, svbrdf))], dim=-1)
 
 
@@ -95,7 +95,7 @@ def _difference(looks: Tensor, overlap: int) -> Tensor:
 
 
 def _overlap(looks: Tensor) -> int:
-    """How many columns and rows to lay over one another."""
+    """The overlap, in texels, whose cuts have the least difference."""
     size = len(looks)
     both = looks, looks.transpose(0, 1)
     side = min(COARSE, size)
@@ -106,7 +106,7 @@ def _overlap(looks: Tensor) -> int:
 
 
 def _joined(layers: Tensor, looks: Tensor, overlap: int) -> Tensor:
-    """The layers (H x W x C) narrower by the overlap: the last column continues in the first."""
+    """The layers (H x W x C), narrower by the overlap; their last column continues in the first."""
     error = _difference(looks, overlap)
     coarser = -(-overlap // COARSE)
     cut = coarser * _closed_cut(F.avg_pool2d(error[None, None], coarser, ceil_mode=True)[0, 0])[0].to(
@@ -115,16 +115,16 @@ def _joined(layers: Tensor, looks: Tensor, overlap: int) -> Tensor:
     # share of the left border's texels
     first = (torch.arange(overlap) + 0.5 - cut) / max(1.0, overlap / FEATHER) + 0.5
     first = first.clamp(0, 1)[..., None]
-    first[:, 0], first[:, -1] = 0, 1  # first only the right border, last only the left one
+    first[:, 0], first[:, -1] = 0, 1  # first column: right border only; last: left border only
     return torch.cat((first * layers[:, :overlap] + (1 - first) * layers[:, -overlap:],
                       layers[:, overlap:-overlap]), dim=1)
 
 
 def _closed_cut(error: Tensor) -> tuple[Tensor, float]:
-    """The closed path of least error downward, at most one column a row: its columns, its mean error."""
+    """The downward path of least mean error that ends in its start column: its columns, and that error."""
     width = error.shape[1]
-    cost = torch.where(torch.eye(width, dtype=torch.bool), error[0], float("inf"))  # by start and column
-    came = []
+    cost = torch.where(torch.eye(width, dtype=torch.bool), error[0], float("inf"))  # start x column
+    came = []  # the step into each row: -1, 0 or 1 column
     for row in error[1:]:
         padded = F.pad(cost, (1, 1), value=float("inf"))
         least, step = torch.stack((padded[:, :-2], padded[:, 1:-1], padded[:, 2:])).min(dim=0)

@@ -1,1 +1,1 @@
-"""Measures of error: of maps, photos, images and gradients; no files."""
+"""Error measures of maps, photos, images and gradients; they read and write no files."""

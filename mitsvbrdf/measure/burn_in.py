@@ -1,14 +1,14 @@
 """Burn-in: how much of a map follows the highlights of the photos, measured without ground truth.
 
 The coverage angle of a texel is the smallest angle between the flat normal (0, 0, 1) and its half vectors
-over the photos of a fit. Where it is small a photo showed the texel's highlight. True maps do not follow that
-angle. Maps do follow it where a fit hides highlights in them or falls back to its start. Burn-in is the share
-R^2 of a map's variance that a cubic in the coverage angle explains: 0 for maps that do not follow it
+over the photos of a fit. If it is small, a photo showed the texel's highlight. True maps do not depend on it.
+Maps do if a fit put highlights into them or fell back to its start. Burn-in is the share R^2 of a map's
+variance that a cubic in the coverage angle explains: 0 for maps that do not depend on it
 (3 / (n - 1) on average for n texels of pure noise), 1 for maps that depend on nothing else. A material whose
 own pattern resembles that of the highlights has some burn-in, too.
 
-Each highlight leaves an oval as wide as the lobe. The smallest angle blurs the ovals; :func:`local_burn_in`
-looks for each of them. Fine texture counts as variance, so burn-in falls a little with the resolution.
+Each highlight leaves an oval as wide as the lobe. The coverage angle blurs these ovals; :func:`local_burn_in`
+measures each of them. Fine texture adds variance, so burn-in is a little lower at higher resolution.
 """
 
 from collections.abc import Iterator
@@ -20,36 +20,35 @@ from .. import color
 from ..material.maps import SVBRDF
 from ..views import STRIP, Views, coverage_angle, half_angles, strips
 
-# a map whose deviation is below this share of its size is constant: float32 and the encoding leave 1e-7
+# a map is constant if its standard deviation is below this share of its RMS: rounding alone gives 1e-7
 CONSTANT_BELOW = 1e-6
-LOCAL_SIDE = 64  # texels a side that are looked at for ovals; of larger maps, area averages
+LOCAL_SIDE = 64  # most texels a side in the search for ovals; larger maps are area-averaged
 WIDTHS = 0.5, 1.0, 2.0  # of the bumps, in widths of the lobe
 # offsets that fill the square evenly (Roberts 2018); 20 of them are farther than NEAR
 ROLLS = 24
-NEAR = 0.25  # nearest shift of a map that counts, in sides, both axes added
-SAME = 1e-3  # of the largest singular value: below, a bump is a combination of others
+NEAR = 0.25  # smallest shift of a map that is used: |x| + |y|, in sides
+SAME = 1e-3  # share of the largest singular value; below it, a bump is a combination of others
 
 
 def burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
     """Share of the variance of ``specular`` and ``roughness`` that the coverage angle explains.
 
     Args:
-        svbrdf: the material, at the resolution at which it is looked at; a principled one by its specular
-            map.
-        views: those of the photos that the fit used.
+        svbrdf: the material, at the resolution to measure. A principled one is converted first.
+        views: the views of the photos that the fit used.
     """
     angle = coverage_angle(views, svbrdf.resolution)
     return {name: explained_share(value, angle) for name, value in _looks(svbrdf).items()}
 
 
 def local_burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
-    """How much of ``specular`` and ``roughness`` lies in ovals of single highlights, at most 1.
+    """How much of ``specular`` and ``roughness`` is in ovals of single highlights: a share, at most 1.
 
     Each photo that the fit used has three Gaussian bumps in the tangent of the half vector's angle, 0.5, 1
     and 2 times as wide as a lobe of the map's median roughness. R^2 is the share of a map's variance that
-    all bumps together explain, and R0^2 its mean for the map rolled sideways by 20 offsets. The measure is
-    (R^2 - R0^2) / (1 - R0^2): around 0, and as often below, where nothing is burnt in. It is taken of 64 x 64
-    area averages; of a principled material, those of its specular map.
+    all bumps together explain; R0^2 is the mean of R^2 for the map rolled sideways by 20 offsets. The measure
+    is (R^2 - R0^2) / (1 - R0^2). Without burn-in it is near 0, as often below as above. Before, maps
+    are area-averaged to 64 x 64 at most; a principled material is converted.
     """
     looks = _looks(svbrdf.detach().resized(min(LOCAL_SIDE, svbrdf.resolution)))
     maps = torch.stack([each.double() for each in looks.values()])
@@ -59,7 +58,7 @@ def local_burn_in(svbrdf: SVBRDF, views: Views) -> dict[str, float]:
 
 
 def oval_patterns(views: Views, side: int, roughness: float) -> Tensor:
-    """Orthonormal sums, of mean 0, of the bumps of :func:`local_burn_in`: P x side^2, P <= 3 N, float64."""
+    """Orthonormal basis, of mean 0, of the bumps of :func:`local_burn_in`: P x side^2, P <= 3 N, float64."""
     widths = roughness * torch.tensor(WIDTHS, dtype=torch.float64)
     far = torch.tan(half_angles(views, side)).flatten(1)
     bumps = torch.exp(-(far[:, None] / widths[:, None]).square() / 2).flatten(0, 1)
@@ -68,7 +67,7 @@ def oval_patterns(views: Views, side: int, roughness: float) -> Tensor:
 
 
 def oval_shares(maps: Tensor, patterns: Tensor) -> tuple[Tensor, Tensor]:
-    """Shares of the variance of maps S x R x R that patterns explain: S as they are, and K x S rolled."""
+    """Share of the variance of each map (S x R x R) that patterns explain: S; and K x S for rolled maps."""
     side, off = maps.shape[-1], maps.double() - maps.double().mean(dim=(1, 2), keepdim=True)
     total, size = off.flatten(1).square().sum(dim=1), maps.double().flatten(1).square().sum(dim=1)
     constant = total <= CONSTANT_BELOW**2 * size

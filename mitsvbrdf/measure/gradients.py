@@ -1,4 +1,4 @@
-"""An image, the gradients of every map, and the seconds of both: what comparisons measure."""
+"""A rendered image, the gradients of every map, and the seconds of both, for comparisons of renderers."""
 
 from dataclasses import dataclass
 
@@ -18,7 +18,7 @@ class Measured:
     """One forward and one backward pass."""
 
     image: Tensor  # linear radiance N x R x R x 3
-    # of the inner product of image and cotangent, by map name, each of the map's shape
+    # map name to the gradient of the inner product of image and cotangent, of the map's shape
     gradients: dict[str, Tensor]
     forward: float  # seconds of the forward pass
     backward: float  # seconds of the backward pass
@@ -35,7 +35,7 @@ def render_and_gradients(renderer: Renderer, svbrdf: SVBRDF, views: Views, cotan
     """Render, and differentiate the inner product of image and ``cotangent`` (N x R x R x 3) by every map.
 
     Default: :func:`fixed_cotangent`. ``analytic64`` gets the maps in float64, so its gradients are float64
-    too. ConfigError: no gradient.
+    too. ConfigError: the image has no gradient.
     """
     dtype = torch.float64 if renderer.name == "analytic64" else torch.float32
     leaves = svbrdf.to(dtype).map(lambda t: t.detach().clone().requires_grad_())

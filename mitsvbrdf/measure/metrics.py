@@ -12,7 +12,7 @@ from ..material.encoding import ENCODINGS
 from ..material.maps import SVBRDF
 from ..views import strips
 
-# Errors are relative to the pixel's own value, and at least to this share of the reference's mean.
+# Errors are relative to the pixel of the reference, or to this share of the reference's mean if it is larger.
 FLOOR = 1e-3
 
 
@@ -20,16 +20,16 @@ def map_rmse(svbrdf: SVBRDF, reference: SVBRDF, encoding: str = "linear") -> dic
     """RMSE of the maps as the field reports it: over all texels and channels of maps encoded to [0, 1].
 
     Diffuse and specular are compared as linear^(1/2.2) and normals as (n + 1) / 2; roughness as r, or as
-    r^(1/2.2) where the reference is stored with gamma. Principled materials are compared by their diffuse and
-    specular maps. Where the resolutions differ, the larger is area-averaged to the smaller first
+    r^(1/2.2) if the reference is stored with gamma. Principled materials are compared by their diffuse and
+    specular maps. If the resolutions differ, the larger is area-averaged to the smaller first
     (:meth:`SVBRDF.resized`).
 
-    Normals are compared as they are. Published numbers take the vectors as in the files, whose length 8 bits
-    or JPEG changed: the unit normals of ``load_maps`` give up to 0.001 less.
+    Normals are compared as given. Published numbers use the vectors in the files, whose length is not
+    exactly 1 after 8 bits or JPEG: the unit normals of ``load_maps`` give up to 0.001 less.
 
     Args:
         reference: the truth.
-        encoding: of the reference's files, as ``material.json`` says: ``linear``, ``gamma 2.2`` or ``srgb``.
+        encoding: of the reference's files, as in ``material.json``: ``linear``, ``gamma 2.2`` or ``srgb``.
 
     Returns:
         ``diffuse``, ``specular``, ``roughness``, ``normal`` and their ``mean``.
@@ -66,7 +66,7 @@ def photo_rmse(rerendered: Tensor, photos: Tensor, transfer: color.Transfer = "g
         rerendered: N x R x R x 3, linear radiance.
         photos: N x R x R x 3, display values in [0, 1], or of 8 or 16 bits.
         transfer: how the photos encode radiance.
-        measured: N x R x R, False where a pixel does not count; None: all count.
+        measured: N x R x R, bool: which pixels count; None: all.
 
     Returns:
         The error over all photos (:func:`of_all`), and one for each photo; 0 without a measured pixel.
@@ -149,9 +149,9 @@ def flip(image: Tensor, reference: Tensor, transfer: color.Transfer = "gamma2.2"
 def gradient_error(gradient: Tensor, reference: Tensor) -> dict[str, float]:
     """How far a gradient is from a reference gradient, as whole vectors.
 
-    ``relative_l2``: |g - r| / |r|; ``cosine`` of the angle between them; ``worst``: the largest difference of
-    one entry over the largest entry of the reference; ``bias``: (g - r) r / |r|^2, by how much the gradient
-    is too long along the reference. Where the reference is 0 everywhere, all four are infinite or NaN.
+    ``relative_l2``: |g - r| / |r|; ``cosine`` of the angle between them; ``worst``: max |g - r| / max |r|;
+    ``bias``: (g - r) r / |r|^2, by how much g is longer than r in the direction of r. If the reference is 0
+    everywhere, all four are infinite or NaN.
     """
     gradient, reference = _pair(gradient, reference)
     off, length = gradient - reference, reference.norm()

@@ -1,4 +1,4 @@
-"""A material rendered for the photos of a capture, and its error: what every fit is judged by."""
+"""A material rendered in the views of a capture, and its error: the measure of every fit."""
 
 import math
 from typing import NamedTuple
@@ -27,15 +27,15 @@ def rerender(renderer: Renderer, svbrdf: SVBRDF, views: Views,
 class Rerendered(NamedTuple):
     """A capture's photos re-rendered, batch by batch."""
 
-    total: float  # RMSE of all, in display values; NaN where an image is not finite
-    each: list[float]  # of each photo
+    total: float  # RMSE of all, in display values; NaN if an image is not finite
+    each: list[float]  # RMSE of each photo; NaN if its image is not finite
     sample: Tensor  # linear images, N x S x S x 3: every k-th pixel
-    images: Tensor | None  # whole ones, N x R x R x 3; None where they take more than one batch
+    images: Tensor | None  # all pixels, N x R x R x 3; None if there is more than one batch
 
 
 def rerendered(renderer: Renderer, svbrdf: SVBRDF, views: Views, capture: Capture, side: int = 1
                ) -> Rerendered:
-    """Photos re-rendered for these views, with samples of ``side`` pixels a side or somewhat more."""
+    """Re-render photos in these views. Samples have ``side`` pixels a side or somewhat more."""
     each, samples, parts = list[float](), list[Tensor](), batches(len(views), svbrdf.resolution)
     for part in parts:
         shown = capture if len(part) == len(capture) else capture.pick([capture.index[k] for k in part])
@@ -43,17 +43,17 @@ def rerendered(renderer: Renderer, svbrdf: SVBRDF, views: Views, capture: Captur
         each += [error if finite(image) else math.nan for image, error in zip(images, errors)]
         samples.append(sampled(images.movedim(-1, 1), min(side, svbrdf.resolution)).movedim(1, -1))
         whole = images if len(parts) == 1 else None
-        del images  # before others are rendered
+        del images  # frees memory before the next batch
     return Rerendered(of_all(each, capture.measured), each, torch.cat(samples), whole)
 
 
 def rerender_errors(renderer: Renderer, svbrdf: SVBRDF, views: Views,
                     capture: Capture) -> tuple[float, list[float]]:
-    """The errors of :func:`rerender` without the images; NaN where an image is not finite."""
+    """The errors of :func:`rerender` without the images; NaN if an image is not finite."""
     return rerendered(renderer, svbrdf, views, capture)[:2]
 
 
 def batches(count: int, resolution: int) -> list[range]:
-    """Ranges of ``count`` views, each rendered together: large images one by one."""
+    """Ranges of ``count`` views to render together; large images one by one."""
     most = max(1, PIXELS // resolution**2)
     return [range(first, min(first + most, count)) for first in range(0, count, most)]

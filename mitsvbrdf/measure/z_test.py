@@ -1,14 +1,14 @@
 """A Z-test for pictures with noise: is a path-traced picture off by more than its own noise explains?
 
 As in Mitsuba's own test suite (``src/render/tests/test_renders.py``): a two-sided test of every value with
-Sidak's correction, which holds however the channels of a pixel depend on each other. The mean of each channel
-is tested too: pixels and means share the significance level evenly. docs/testing.md says what a picture must
-be like. Where the variance is estimated from passes, Student's t, turned into a normal score, allows for it;
+Sidak's correction, which is valid for any dependence between a pixel's channels. The mean of each channel
+is tested too: pixels and means share the significance level evenly. docs/testing.md has the requirements on
+a picture. If the variance is estimated from passes, Student's t is used and converted to a normal score;
 the mean of a channel has the degrees of freedom of Welch (1947) and Satterthwaite.
 
 Measured on made materials under an area light, 24 px, 16 passes of 4 samples, 200 seeds, significance 0.01:
 leather fails 1 % of the time; glazed tiles, whose sharp highlights few samples find, 12.5 %, and 0.5 % with
-``outliers=0.0025`` or with 16 samples a pass. Made 2 % brighter, all fail.
+``outliers=0.0025`` or with 16 samples a pass. If they are made 2 % brighter, all fail.
 """
 
 import math
@@ -20,22 +20,22 @@ from torch import Tensor
 
 from ..errors import ConfigError, MapsError
 
-# at 64 x 64 pixels, the limit of a value is 18 deviations; with six passes it is 34, which misses much
+# with 64 x 64 pixels, the limit is then 18 standard deviations; with six passes 34, which misses much
 FEWEST_PASSES = 8
-SUM_ROUNDING = 1e-5  # relative error of float32 sums: no standard deviation counts as less
+SUM_ROUNDING = 1e-5  # rounding of float32 sums: least standard deviation, as a share of the reference's mean
 
 
 @dataclass(frozen=True)
 class ZTest:
-    """The verdict.
+    """Result of :func:`z_test`.
 
     Args:
         z: (image - reference) over its standard deviation, H x W x C, float64.
-        z_limit: a value of a larger score is outside.
+        z_limit: a value is outside if its |z| is larger.
         outside: share of the values outside.
         outliers: share of the values that may be outside.
         bias: the score of each channel's mean, C.
-        bias_limit: the largest score that passes.
+        bias_limit: the largest |bias| that passes.
     """
 
     z: Tensor = field(repr=False)
@@ -47,7 +47,7 @@ class ZTest:
 
     @property
     def passed(self) -> bool:
-        """Whether no test finds a difference to the reference."""
+        """Whether no test finds a difference from the reference."""
         return self.outside <= self.outliers and bool((self.bias.abs() <= self.bias_limit).all())
 
 
@@ -57,16 +57,16 @@ def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, refe
 
     Args:
         image: H x W x C, linear, the mean of many samples a pixel.
-        variance_or_passes: the variance of ``image`` (of one sample, over the number of samples), H x W x C;
+        variance_or_passes: variance of ``image`` (that of a sample / the number of samples), H x W x C;
             or K >= 8 independent pictures whose mean is ``image``, K x H x W x C.
-        reference: H x W x C, what it should be.
-        reference_variance: of ``reference``, H x W x C or a number; it then shares no samples with ``image``.
-        significance: how often a correct picture fails, at most: one in a hundred by default.
-        outliers: share of the values that may lie outside.
+        reference: H x W x C, what ``image`` should be.
+        reference_variance: of ``reference``, H x W x C or a number; if given, the two share no samples.
+        significance: the largest probability that a correct picture fails.
+        outliers: share of the values that may be outside.
 
     Raises:
-        MapsError: shapes that differ, too few passes, an image that is not their mean, or a variance below 0
-            or not finite.
+        MapsError: shapes that differ, too few passes, an image that is not the mean of its passes, or a
+            variance below 0 or not finite.
         ConfigError: a significance outside of (0, 1), or outliers outside of [0, 1).
     """
     if not 0 < significance < 1:
@@ -105,6 +105,6 @@ def z_test(image: Tensor, variance_or_passes: Tensor, reference: Tensor, *, refe
 
 
 def _normal_score(t: Tensor, degrees: Tensor) -> Tensor:
-    """Scores of t statistics: the standard normal values of the same tail probability."""
+    """Standard normal values with the same tail probability as t statistics."""
     score = torch.as_tensor(stats.norm.isf(stats.t.sf(t.abs().cpu(), degrees.cpu())), device=t.device)
     return torch.where(degrees.isinf(), t, t.sign() * score)

@@ -1,4 +1,4 @@
-"""What surrounds a preview. Up is z, and a white diffuse surface that faces up has luminance 0.8.
+"""The surroundings of a preview. Up is z, and a white diffuse surface that faces up has luminance 0.8.
 
 In an environment map (longitude and latitude) the top row is up. The middle column is +y, straight ahead for
 a camera that looks along +y, and +x is right of it.
@@ -24,14 +24,14 @@ from ..io.decode import check_size
 
 ENVIRONMENTS = ("studio", "sunsky", "none")  # softboxes in a grey room, a clear afternoon, a single light
 WHITE_LUMINANCE = 0.8  # luminance of a white diffuse surface that faces up, or faces the single light
-LAMP = (-2.6, -2.0, 3.2)  # left and behind the camera
-HDR_HEADER = 4096  # bytes of an .hdr file among which its size stands
+LAMP = (-2.6, -2.0, 3.2)  # position: left of the camera, and behind it
+HDR_HEADER = 4096  # first bytes of an .hdr file, which contain its size
 LUMINANCE = torch.tensor([0.2126, 0.7152, 0.0722], dtype=torch.float64)
 
 
 @dataclass(frozen=True)
 class Environment:
-    """What lights a scene from around it."""
+    """The light from around a scene."""
 
     emitters: dict[str, dict[str, Any]]  # plugin dictionaries by name
     # angle in degrees (counter-clockwise, seen from above) -> values by key of mi.traverse(scene)

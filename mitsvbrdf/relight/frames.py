@@ -1,4 +1,4 @@
-"""Frames of presets in a folder, each recorded when done, so that a later run continues; MP4 and GIF."""
+"""Render frames of presets into a folder and record each, so that a later run continues; MP4 and GIF."""
 
 import json
 import shutil
@@ -25,14 +25,14 @@ BESIDE = ("png", "mp4", "gif")  # files of a preset, beside its frames
 
 @dataclass
 class Record:
-    """What ``relight.json`` says."""
+    """The content of ``relight.json``."""
 
-    settings: dict  # all that the pictures depend on, as JSON has it; a resumed run has the same
-    # by preset: omitted, and frames; each frame is a dict of frame, file, samples, seconds, error and stopped
+    settings: dict  # all that the pictures depend on, as JSON values; the same in a resumed run
+    # preset -> omitted, and frames: dicts of frame (number), file, samples, seconds, error and stopped
     presets: dict[str, dict]
 
     def of(self, preset: str) -> dict[int, dict]:
-        """The frames of a preset that are done, by number."""
+        """A dict of the finished frames of a preset: number to entry."""
         frames = self.presets.get(preset, {}).get("frames", [])
         return {frame["frame"]: frame for frame in frames if frame["stopped"] != INTERRUPTED}
 
@@ -55,9 +55,9 @@ def begin(settings: Mapping) -> Record:
 
 
 def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
-    """The record of an earlier run with the same settings, its files brought to ``folder``.
+    """The record of an earlier run with the same settings; its files are copied to ``folder``.
 
-    ``folder``, where results are made, still holds the frames of a killed run, and is preferred to ``out``.
+    After a killed run its files are still in ``folder``, where results are made; else they are in ``out``.
     ConfigError: there is no earlier run, it had other settings, or it names files outside of its folder.
     """
     place = next((place for place in (folder, out) if files.is_regular(place / RECORD)), None)
@@ -71,7 +71,7 @@ def go_on(settings: Mapping, out: Path, folder: Path) -> Record:
 
 
 def _found(place: Path, settings: Mapping) -> tuple[Record, list[str]]:
-    """The record in a folder and the files it names; ConfigError unless it has these settings."""
+    """The record in a folder, and the files named in it; ConfigError unless it has these settings."""
     try:
         found = load(place / RECORD, links=False)
         record, new = Record(found["settings"], found["presets"]), begin(settings).settings
@@ -97,11 +97,11 @@ def _found(place: Path, settings: Mapping) -> tuple[Record, list[str]]:
 def render_stages(mi: ModuleType, stages: Sequence[Stage], record: Record, folder: Path, *,
                   seed: int = 0, exposure: float = 0.0, report: Report = lambda text, share: None,
                   done: Callable[[Stage], object], interrupted: Sequence = ()) -> bool:
-    """Render the frames that the record lacks, in order; frames are EXR files, stills have a PNG beside.
+    """Render the frames that the record lacks, in order. Frames are EXR files; a still also has a PNG.
 
-    The record gets an entry for each frame, and is written after each. The PNG, and the picture whose error
-    is estimated, have this exposure. ``done`` is called after each preset, also an interrupted one that has a
-    frame. ``interrupted`` is not empty once a stop is asked for; the current frame is kept as it is. Returns
+    The record gets an entry for each frame, and is written after each. ``exposure`` affects only the PNG and
+    the estimated error. ``done`` is called after each preset, and after an interrupted one if it has a
+    frame. If ``interrupted`` becomes non-empty, rendering stops; the current frame is kept as it is. Returns
     whether all frames are done. MapsError: radiance that is not finite.
     """
     total = sum(stage.frames for stage in stages)
@@ -164,8 +164,8 @@ PALETTE_SIZE = 256  # of a GIF's palette
 def write_mp4(path: Path, frames: Iterable[Tensor]) -> None:
     """An MP4 that every player and browser shows: H.264, yuv420p, tagged as BT.709, limited range.
 
-    Frames are display values, clipped to [0, 1]. yuv420p has half as many chroma as luma samples on either
-    axis, so an odd size gets one column or row more, a copy of its neighbour. Nothing of the picture is lost.
+    Frames are display values, clipped to [0, 1]. yuv420p has half as many chroma samples as luma samples on
+    each axis, so an odd size gets one more column or row, a copy of its neighbour; no pixel is lost.
     BackendError: PyAV is not installed.
     """
     av = av_module()
@@ -191,7 +191,7 @@ def write_mp4(path: Path, frames: Iterable[Tensor]) -> None:
 
 
 def write_gif(path: Path, frames: Iterable[Tensor]) -> None:
-    """A GIF that loops, with a palette for each frame and errors diffused; arguments as :func:`write_mp4`."""
+    """A GIF that loops, with a palette for each frame and error diffusion; arguments as :func:`write_mp4`."""
     from PIL import Image
 
     pictures = [Image.fromarray(_eight_bits(frame)) for frame in frames]
@@ -208,7 +208,7 @@ def _eight_bits(frame: Tensor) -> np.ndarray:
 
 
 def av_module() -> ModuleType:
-    """PyAV; BackendError where it is not installed."""
+    """PyAV; BackendError if it is not installed."""
     try:
         import av
     except ImportError:

@@ -2,11 +2,11 @@
 
 The error is RMSE in display values (sRGB, exposed, clipped to [0, 1]) over the whole frame of the final
 picture. The jackknife estimates it (Tukey 1958; unequal groups as Busing et al. 1999): samples go to up to
-eight groups in turn, and the final picture is compared with the pictures without one of the groups. Both hold
-nearly all samples, so the sRGB curve and the clipping act as in the final picture. Where rare bright samples
-are clipped, the difference of two halves is only 0.57 of the true error, the jackknife 0.97.
+eight groups in turn, and the final picture is compared with each picture that omits one group. The latter
+has nearly all samples, so the sRGB curve and the clipping act on both almost alike. If rare bright samples
+are clipped, the difference of two halves gives only 0.57 of the true error, the jackknife 0.97.
 
-Dr.Jit compiles one kernel for all powers of two as numbers of samples, so every call has such a number.
+Dr.Jit compiles one kernel for all powers of two as numbers of samples, so every call takes a power of two.
 """
 
 import math
@@ -35,13 +35,13 @@ class Rendered:
 
     image: Tensor = field(repr=False)  # linear radiance H x W x 3, float32, row 0 at the top, not exposed
     samples: int  # a pixel
-    seconds: float  # for all of it; the kernel is compiled in the first frame of a scene
-    error: float | None  # estimated RMSE in display values; None of a single sample
-    stopped: str  # why it ended: samples or interrupted
+    seconds: float  # of all passes; the first frame of a scene includes compiling its kernel
+    error: float | None  # estimated RMSE in display values; None after a single pass
+    stopped: str  # why rendering ended: samples or interrupted
 
 
 def shown(image: Tensor, exposure: float = 0.0) -> Tensor:
-    """Linear radiance as display values: exposed by so many stops, sRGB, clipped to [0, 1]."""
+    """Linear radiance as display values: ``exposure`` stops brighter, sRGB, clipped to [0, 1]."""
     return color.to_display(image * 2.0**exposure, "srgb")
 
 
@@ -49,10 +49,10 @@ def render_passes(draw: Callable[[int, int], Tensor], samples: int, *, pixels: i
                   report: Report = lambda text, share: None, interrupted: Sequence = ()) -> Rendered:
     """Add passes until each pixel has ``samples`` samples.
 
-    ``draw`` takes the number of the call and samples a pixel, a power of two, and gives linear H x W x 3,
-    independent from call to call. The error is that of the picture as shown, ``exposure`` stops brighter.
-    ``interrupted`` is not empty once a stop is asked for; at least one call is made. MapsError: the renderer
-    gave numbers that are not finite.
+    ``draw`` takes the number of the call, and samples a pixel, a power of two; it gives linear H x W x 3,
+    independent of other calls. The error is that of the picture as shown, ``exposure`` stops brighter. When
+    ``interrupted`` is no longer empty, drawing stops; at least one call is made. MapsError: the renderer gave
+    numbers that are not finite.
     """
     started, mean, calls = time.perf_counter(), GroupedMean(), 0
     part = max(min(samples // JACKKNIFE_GROUPS, SAMPLES_AT_ONCE // pixels), 1)
@@ -80,7 +80,7 @@ def render_frame(mi: ModuleType, scene: Any, samples: int, *, seed: int = 0, nam
 
 
 class GroupedMean:
-    """The mean of all samples, which are kept in groups to give the mean without each group."""
+    """The mean of all samples. They are summed in groups, so that any group can be left out of the mean."""
 
     def __init__(self) -> None:
         self.sums: list[Tensor] = []

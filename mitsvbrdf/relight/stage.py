@@ -1,4 +1,4 @@
-"""Stages of previews: a scene of ``scenes/``, filled in, and what moves in it."""
+"""Stages of previews: a scene of ``scenes/`` with the material, and how camera and light move."""
 
 import math
 from collections.abc import Callable
@@ -22,13 +22,13 @@ from .passes import shown
 
 Place = Callable[[int], dict[str, Any]]
 
-# Default environment, frames and samples a pixel of each preset; docs/relight.md says what it shows. The
-# estimated error is about 0.01 (a turntable of shiny material: 0.0125).
+# Default environment, frames and samples a pixel of each preset (docs/relight.md shows the presets). These
+# samples give an estimated error of about 0.01 (a turntable of shiny material: 0.0125).
 PRESETS = {"sweep": ("none", 48, 16), "turntable": ("studio", 72, 128), "sphere": ("studio", 1, 128),
            "shaderball": ("studio", 1, 128), "novel": ("none", 1, 16)}
 OWN_LIGHT = ("sweep", "novel")
 ROUND = ("sphere", "shaderball")
-SAMPLES = 16  # of a page's sphere, a power of 4: low-discrepancy, 1.3 times the noise of 64 independent
+SAMPLES = 16  # of the sphere on a page; low-discrepancy (a power of 4): 1.3 times the noise of 64 independent
 DIMMEST = 1e-3  # reflections are followed until less than this share of the light is left
 OFF_LENS = 0.5  # radius of the circle of lights around the lens, as a share of the camera's height
 MOST_TILES = 64  # along a side
@@ -43,17 +43,17 @@ class Stage:
     frames: int  # 1 for a still
     samples: int  # a pixel
     place: Place  # frame number -> values by key of mi.traverse(scene); none of them needs another kernel
-    omitted: tuple[tuple[str, str], ...]  # (what, why) of each thing that this preview does without
-    views: Views | None = None  # of novel: camera and light of each frame
+    omitted: tuple[tuple[str, str], ...]  # (what, why) of each thing that this preview omits
+    views: Views | None = None  # for novel: camera and light of each frame
 
     def move(self, held: Any, frame: int) -> None:
-        """Bring the scene to a frame; ``held`` is ``mi.traverse`` of it."""
+        """Set the scene to a frame; ``held`` is ``mi.traverse(scene)``."""
         for key, value in self.place(frame).items():
             held[key] = value
         held.update()
 
     def at(self, mi: ModuleType, frame: int = 0) -> Any:
-        """The loaded scene as it stands at a frame."""
+        """Load the scene, set to a frame."""
         scene = mi.load_dict(self.scene)
         self.move(mi.traverse(scene), frame)
         return scene
@@ -66,12 +66,12 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
     """The stage of a preview.
 
     Args:
-        mi: the Mitsuba module, an RGB variant set.
+        mi: the Mitsuba module, with an RGB variant set.
         preset: a key of :data:`PRESETS`, which has the default of environment, frames and samples.
         environment: a name of :data:`ENVIRONMENTS`, or an .exr or .hdr file.
         size: width and height of the film in pixels.
         tiling: how often the maps are repeated along a side.
-        views: of ``novel``, which shows the first; default: :func:`mitsvbrdf.views.nine_view_grid`.
+        views: for ``novel``, which shows the first; default: :func:`mitsvbrdf.views.nine_view_grid`.
 
     Raises:
         ConfigError: an option that is unknown, out of range, or does not go with the preset.
@@ -102,7 +102,7 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
                         else "the preset has a light of its own"))
     if preset not in ROUND:
         omitted.append(("displacement", "normals shade, the surface is flat"))
-    if preset == "sphere" and name != "sunsky":  # sunsky is dark below the horizon: the floor stands in
+    if preset == "sphere" and name != "sunsky":  # sunsky is dark below the horizon: it keeps the floor
         del scene["floor"]
         omitted.append(("floor", "nothing surrounds the sphere" if name == "none" else
                          "what surrounds the sphere goes on below the horizon"))
@@ -116,7 +116,7 @@ def make_stage(mi: ModuleType, svbrdf: SVBRDF, preset: str, *, environment: str 
 
 
 def _check(preset: str, size: tuple[int, int], frames: int, samples: int, tiling: int) -> None:
-    """Raise ConfigError for numbers out of range, and what does not go with the preset."""
+    """Raise ConfigError for numbers out of range, and for a size that does not go with the preset."""
     if frames < 1:
         raise ConfigError("1 frame or more", str(frames), "give --frames 1 for a still")
     if samples < 1:
@@ -143,14 +143,14 @@ def _material(mi: ModuleType, svbrdf: SVBRDF, needs: Needs, tiling: int, preset:
 
     material = plugin(svbrdf.bsdf, needs, texture, stock=True)
     if needs.normal_map and preset != "novel":
-        # Near a shape's outline, normals that lean further away would be black; the relief itself would hide
-        # such parts.
+        # Near a shape's outline, texels whose normals point away from the camera would be black; on a real
+        # relief such texels are hidden.
         material["flip_invalid_normals"] = True
     return material
 
 
 def _reflections(svbrdf: SVBRDF) -> tuple[int, str]:
-    """How many reflections matter on a shape that sees itself, and why no more."""
+    """How many reflections matter on a shape that sees itself, and the reason as text."""
     flat = svbrdf.as_roughconductor()
     albedo = float((flat["diffuse"] + flat["specular"]).amax(dim=-1).mean())
     left = min(max(albedo, 0.05), 0.9)
@@ -197,7 +197,7 @@ def _novel(mi: ModuleType, side: int, frames: int,
 
 
 def mirrored(svbrdf: SVBRDF) -> SVBRDF:
-    """The material beside its mirror images, 2 R x 2 R: all edges meet, those to the next repetition too."""
+    """The material beside its mirror images: 2 R x 2 R maps that repeat without a seam."""
     def both(name: str, value: Tensor, axis: int, turned: int) -> Tensor:
         image = value.flip(axis)
         if name == "normal":

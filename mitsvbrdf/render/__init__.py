@@ -1,8 +1,8 @@
-"""Three renderers with one protocol: the same maps and views become linear, unclamped radiance.
+"""Renderers with one protocol: maps and views in, linear unclamped radiance out.
 
 ========================  ==========================================================================
-``analytic``              torch, float32; the readable twin
-``analytic64``            the same in float64: the truth the others are held against
+``analytic``              the formulas in torch, float32
+``analytic64``            the same in float64: the reference for the others
 ``mitsuba``               Mitsuba's BSDF plugins evaluated at the texels: no rays, no texture look-ups
 ``mitsuba-scene``         the traced Mitsuba scene: rectangle, point light, the camera of a rectified photo
 ========================  ==========================================================================
@@ -28,23 +28,23 @@ class Renderer(Protocol):
 
     @property
     def name(self) -> str:
-        """What a user calls it."""
+        """The name that :func:`make_renderer` takes."""
         ...
 
     @property
     def variant(self) -> str | None:
-        """The Mitsuba variant it runs in; None where there is none."""
+        """The Mitsuba variant in use; None if the renderer does not use Mitsuba."""
         ...
 
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Linear radiance of the patch as each view sees it, rectified: N x R x R x 3, row 0 at the top.
 
         Differentiable with respect to the maps; ``analytic`` and ``mitsuba`` also with respect to camera,
-        light and intensity, for which ``mitsuba-scene`` refuses a gradient.
+        light and intensity.
 
         Raises:
             NotFiniteError: a value of a map or a number of a view is NaN or infinite.
-            ConfigError: a gradient or a size that the renderer refuses.
+            ConfigError: a gradient or a size that the renderer does not support.
         """
         ...
 
@@ -52,12 +52,12 @@ class Renderer(Protocol):
 @kinds_checked
 def make_renderer(name: str = "mitsuba", variant: str = "llvm_ad_rgb",
                   needs: Needs | None = None) -> Renderer:
-    """A renderer by name; Mitsuba is loaded only for the two that need it.
+    """The renderer of this name; Mitsuba is loaded only for the two that need it.
 
     Args:
         name: ``mitsuba``, ``mitsuba-scene``, ``analytic`` or ``analytic64`` (in float64).
         variant: the Mitsuba variant, ``llvm_ad_rgb`` or ``cuda_ad_rgb``.
-        needs: what to compute; default: what each scene needs. Other values measure what an omission saves.
+        needs: what to compute; default: what each scene needs. Set it to measure what an omission saves.
 
     Raises:
         ConfigError: unknown name.

@@ -1,12 +1,12 @@
-"""The readable twin: the same two BSDFs in plain torch, in any float dtype; it needs no Mitsuba.
+"""The two BSDFs in plain torch, in any float dtype, without Mitsuba.
 
-Cook-Torrance as the paper (III.E): f = rho_d / pi + D(alpha, n.h) G(n.l, n.v) F / (4 n.l n.v), GGX D,
-separable Smith G. Radiance L = f (n.l) I / d^2. Where camera and light coincide, F is F0, exactly (h = l).
-Elsewhere F is the unpolarised Fresnel reflectance of the refractive index that has F0 at normal incidence, as
-in Mitsuba's ``roughconductor`` (which does not offer the paper's Schlick curve).
+Cook-Torrance as in the paper (III.E): f = rho_d / pi + D(alpha, n.h) G(n.l, n.v) F / (4 n.l n.v), GGX D,
+separable Smith G. Radiance L = f (n.l) I / d^2. If camera and light coincide, F is exactly F0 (h = l). Else F
+is the unpolarised Fresnel reflectance of the refractive index that has F0 at normal incidence, as in
+Mitsuba's ``roughconductor`` (which does not offer the paper's Schlick curve).
 
-Each formula is written so that nothing cancels, overflows or divides by zero on valid input, in float32 and
-in its derivatives; docs/results/lab-notes.md lists what each form mended and by how much.
+On valid input, no formula and no derivative cancels, overflows or divides by zero in float32.
+docs/results/lab-notes.md lists the errors of simpler forms.
 """
 
 from typing import NamedTuple
@@ -21,11 +21,11 @@ from ..views import Views, texel_positions
 from .bsdf import F0_RANGE, MIN_ALPHA_PRINCIPLED, needed_maps
 from .needs import Needs, refuse_not_finite, scene_needs
 
-MIN_ALPHA = {"roughconductor": 1e-4, "principled": MIN_ALPHA_PRINCIPLED}  # lowest of Mitsuba's microfacets
+MIN_ALPHA = {"roughconductor": 1e-4, "principled": MIN_ALPHA_PRINCIPLED}  # lowest GGX alpha in Mitsuba
 
 
 class AnalyticRenderer:
-    """Renders what a scene needs, or ``needs``, in float32 or 64; see :class:`mitsvbrdf.render.Renderer`."""
+    """A :class:`mitsvbrdf.render.Renderer` in torch. It computes ``needs``, by default what a scene needs."""
 
     variant = None
 
@@ -41,7 +41,7 @@ class AnalyticRenderer:
         maps = {name: value.to(self.dtype) for name, value in needed_maps(svbrdf, needs).items()}
         cosines, irradiance = _geometry(maps.get("normal"), views, svbrdf.resolution)
         lit = (cosines.n_l > 0) & (cosines.n_v > 0)
-        # Where the surface turns away the result is 0; a harmless 1 keeps the gradient of the rest finite.
+        # Where the surface faces away, the result is 0. A cosine of 1 there keeps all gradients finite.
         cosines = cosines._replace(n_l=torch.where(lit, cosines.n_l, 1.0),
                                    n_v=torch.where(lit, cosines.n_v, 1.0))
         c = Cosines(*(x.to(self.dtype) for x in cosines))
@@ -72,11 +72,11 @@ class Cosines(NamedTuple):
 
 
 def _geometry(normal: Tensor | None, views: Views, resolution: int) -> tuple[Cosines, Tensor]:
-    """Cosines and I / d^2, always in float64. Without normals, the plane's normal.
+    """Cosines and I / d^2, always in float64. ``normal`` None: n is the plane's normal.
 
-    l + v cancels where light and camera stand low on opposite sides: from 100 sides away at 0.01 above the
-    plane, float32 lost all but one digit of h. n x h cancels near every highlight: at roughness 0.1 float32
-    gradients were off by 3e-6. And d^2 of a light 1e20 units away overflows float32.
+    l + v cancels if light and camera are low on opposite sides: 100 patch sides away and 0.01 above the
+    plane, float32 keeps one digit of h. n x h cancels near every highlight: at roughness 0.1, float32
+    gradients have errors of 3e-6. The d^2 of a light 1e20 units away overflows float32.
     """
     views = views.in_patch_sides().to(torch.float64)
     position = texel_positions(resolution)
@@ -103,11 +103,11 @@ def _alpha(bsdf: str, roughness: Tensor) -> Tensor:
 
 
 def _specular(alpha: Tensor, c: Cosines) -> Tensor:
-    """D G / (4 n.v), that is the specular BRDF over F, times n.l."""
+    """D G / (4 n.v): the specular BRDF divided by F, times n.l."""
     a2 = alpha**2
     # a2 c^2 + (1 - c^2) with 1 - c^2 as |n x h|^2: c^2 (a2 - 1) + 1 would cancel near the highlight.
     d = a2 / (torch.pi * (a2 * c.n_h**2 + c.across2) ** 2)
-    # G has a factor 4 n.l n.v, which cancels with the denominator's before that can become 0 / 0.
+    # G has a factor 4 n.l n.v. Here it is cancelled against the denominator's, so 0 / 0 cannot occur.
     return d * c.n_l / (_smith(a2, c.n_l) * _smith(a2, c.n_v))
 
 
@@ -117,15 +117,15 @@ def _smith(a2: Tensor, cosine: Tensor) -> Tensor:
 
 
 def _fresnel(f0: Tensor, cosine: Tensor) -> Tensor:
-    """Unpolarised reflectance at this cosine of the real refractive index (1 + s) / (1 - s), s = sqrt F0.
+    """Unpolarised reflectance at cosine c, for the real refractive index (1 + s) / (1 - s) with s = sqrt F0.
 
-    With a = 1 - s, b = 1 + s and g = sqrt(4 s + a^2 c^2) the two amplitudes r_s = (a c - g) / (a c + g) and
-    r_p = (b^2 c - a g) / (b^2 c + a g) both have a factor 4 s, which is taken out here: the rest has no
-    difference of equal numbers, at F0 = 0 or at 1. Computed from the index itself, F was off by 6e-8 / F0.
-    Beyond F0_RANGE F is proportional to F0, as it is for Mitsuba, which needs the index.
+    Let a = 1 - s, b = 1 + s and g = sqrt(4 s + a^2 c^2). Both amplitudes, r_s = (a c - g) / (a c + g) and
+    r_p = (b^2 c - a g) / (b^2 c + a g), have a factor 4 s. It is taken out here, so no nearly equal numbers
+    are subtracted, even at F0 = 0 or 1. Computed from the index, F had an error of 6e-8 / F0. Outside
+    F0_RANGE, F is proportional to F0, as in the scenes for Mitsuba, which needs the index.
     """
     low, high = F0_RANGE
-    # slope 0 at the ends themselves, in any precision
+    # at both ends the slope of ``cut`` is 0, in any precision
     cut = torch.where(f0 > low, torch.where(f0 < high, f0, high), low)
     s = cut.sqrt()
     a, b2 = (1 - cut) / (1 + s), (1 + s) ** 2

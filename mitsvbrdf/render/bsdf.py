@@ -1,4 +1,4 @@
-"""Maps to Mitsuba's BSDF plugins: which plugin, which texture slots, and what each slot holds.
+"""From maps to Mitsuba's BSDF plugins: the plugin, its texture slots, and the values of each slot.
 
 One description serves the fit (texel renderer), the traced scene and the exported scene file.
 """
@@ -11,15 +11,15 @@ from torch import Tensor
 from ..material.maps import CHANNELS, SVBRDF
 from .needs import Needs
 
-MIN_ALPHA_PRINCIPLED = 0.001  # Mitsuba's `principled` never goes below; its gradient in roughness is 0 there
+MIN_ALPHA_PRINCIPLED = 0.001  # lowest in Mitsuba's `principled`; below, its gradient in roughness is 0
 
-# plugins of plugins.py that replace roughconductor's own reflectance, and normalmap
+# plugins of plugins.py: they replace roughconductor's own reflectance, and normalmap
 FRESNEL, NORMAL_MAP = "exact_fresnel", "exact_normalmap"
 
 BELOW_ONE = 2.0**-24  # from 1 to the next float32 below
 
-# The refractive index grows without bound as F0 -> 1, and its slope in F0 as F0 -> 0; both ends are cut.
-# Beyond them the reflectance is proportional to F0: it still ends in 0, and its slope is not 0.
+# The refractive index is unbounded as F0 -> 1, and its slope in F0 as F0 -> 0: so both ends are cut. Outside,
+# the reflectance is proportional to F0: it still is 0 at F0 = 0, and its slope is not 0.
 F0_RANGE = (1e-6, 0.999)
 
 
@@ -30,7 +30,7 @@ def index_from_f0(f0: Any) -> Any:
 
 
 def needed_maps(svbrdf: SVBRDF, needs: Needs) -> dict[str, Tensor]:
-    """The maps that are read at all, by name; of a specular map that needs no colour, the first channel."""
+    """The maps that are read: a dict, name to map. A specular map that needs no colour has one channel."""
     unread = {"diffuse": not needs.diffuse_lobe, "specular": not needs.specular_lobe,
               "metallic": not needs.metallic, "normal": not needs.normal_map,
               "roughness": svbrdf.bsdf == "roughconductor" and not needs.specular_lobe}
@@ -41,11 +41,11 @@ def needed_maps(svbrdf: SVBRDF, needs: Needs) -> dict[str, Tensor]:
 
 
 def _with_slope(metallic: Any) -> Any:
-    """Metallic as it is; where it is exactly 1 and wants a gradient, one float32 rounding below.
+    """Metallic unchanged; but if it needs a gradient, values of 1 become the next lower float32.
 
-    Mitsuba's ``principled`` skips its diffuse lobe where metallic is 1, and with it the lobe's slope in
-    metallic: the gradient was 161 instead of 70.6 for a base colour of 0.5. The image then holds 6e-8 of the
-    diffuse lobe, as long as the map wants a gradient.
+    Mitsuba's ``principled`` skips its diffuse lobe where metallic is 1, and so the lobe's slope in metallic:
+    the gradient was 161 instead of 70.6 for a base colour of 0.5. With the change, the image contains 6e-8 of
+    the diffuse lobe.
     """
     if hasattr(metallic, "clamp"):  # a torch tensor, to be written to a file
         return metallic
@@ -54,7 +54,7 @@ def _with_slope(metallic: Any) -> Any:
 
 
 def slot_values(bsdf: str, maps: dict[str, Any], needs: Needs, stock: bool = False) -> dict[str, Any]:
-    """What the plugin's texture slots hold for these maps (torch or Dr.Jit arrays, same layout as the maps).
+    """The plugin's texture slots for these maps: slot to array (torch or Dr.Jit, same layout as the maps).
 
     ``stock``: values for Mitsuba's own plugins only, from torch maps.
 

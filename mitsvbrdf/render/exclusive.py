@@ -1,13 +1,13 @@
-"""Mitsuba and Dr.Jit in one thread at a time, and pictures that get their own gradients.
+"""Mitsuba and Dr.Jit in one thread at a time, and the right gradients for each picture.
 
 Neither is thread-safe: two threads that trace at once draw wrong pictures or end the process. So the import
-of Mitsuba, each new scene, each picture and each backward pass hold :func:`using_mitsuba`; in between other
-threads may draw. Mitsuba's objects are freed under the lock too (:class:`Kept`); returned tensors are copies.
+of Mitsuba, each new scene, picture and backward pass take the lock :func:`using_mitsuba`. In between,
+others may draw. Mitsuba's objects are freed under the lock too (:class:`Kept`). Returned tensors are copies.
 
 The replay trap: the backward pass traces a Mitsuba scene *as it is at that time*, and Dr.Jit traces calls
 through all existing scenes. If a camera moves or a preview is drawn between forward and backward, the
-gradients are of the wrong picture, or zeros. :class:`Drawing` prevents that: if another picture of any scene
-was drawn meanwhile, the backward pass first draws its own again, from the maps and views it kept.
+gradients are of the wrong picture, or 0. :class:`Drawing` prevents that: if any other picture was drawn
+meanwhile, the backward pass first draws its own again, from the maps and views that it kept.
 """
 
 from __future__ import annotations
@@ -40,17 +40,16 @@ from .plugins import register
 
 T = TypeVar("T")
 
-_forgotten = deque[object]()  # what nobody needs any more, until a thread that holds the lock frees it
+_forgotten = deque[object]()  # objects to be freed by the next thread that has the lock
 _alive: WeakSet[Kept] = WeakSet()
 
 
 class Kept(Generic[T]):
-    """Something of Mitsuba or Dr.Jit that any thread may forget; a thread with the lock frees it.
+    """Keeps an object of Mitsuba or Dr.Jit. Any thread may drop it; a thread with the lock frees the object.
 
-    To free an array while another thread traces can crash the process, or stop both threads for ever: the
-    one that frees waits, and holds Python's own lock. So forgotten content waits for the next
-    :func:`using_mitsuba` or for the end of the process. The content must not refer to the object that keeps
-    it.
+    Freeing an array while another thread traces can crash the process or cause a deadlock: the freeing thread
+    waits, and has Python's own lock. So dropped content is freed by the next :func:`using_mitsuba`, or at the
+    end of the process. The content must not refer to its :class:`Kept`.
     """
 
     def __init__(self, content: T) -> None:
@@ -64,7 +63,7 @@ class Kept(Generic[T]):
 
 @atexit.register
 def _free_all() -> None:
-    """Free everything while Dr.Jit is still there: freeing a scene's gradient later ends the process."""
+    """Free everything while Dr.Jit is still loaded: freeing a scene's gradient later aborts the process."""
     for each in list(_alive):
         vars(each).clear()
     _forgotten.clear()
@@ -73,11 +72,11 @@ def _free_all() -> None:
 @kinds_checked
 @contextlib.contextmanager
 def using_mitsuba(variant: str = "llvm_ad_rgb") -> Iterator[ModuleType]:
-    """The ``mitsuba`` module with this variant, for this thread alone; the earlier variant comes back.
+    """The ``mitsuba`` module with this variant, for this thread alone; the earlier variant is restored.
 
-    Callers of the package do not need it; code that uses Mitsuba or Dr.Jit beside the package must hold it
-    too. It may be nested. It must not be held around a backward pass of tensors on a GPU: autograd runs such
-    a pass in another thread. Arrays and scenes should be gone when it ends: make them in a function.
+    Calls of this package do not need it. Code that itself uses Mitsuba or Dr.Jit must run inside it. It may
+    be nested. A backward pass of tensors on a GPU must not run inside it, because autograd runs the pass in
+    another thread. Arrays and scenes should be freed before it ends: make them in a function.
 
     Raises:
         BackendError: Mitsuba, the variant, a GPU or libLLVM is missing.
@@ -114,11 +113,11 @@ def _in_order() -> Iterator[None]:
 class Drawing:
     """A function of torch tensors that Mitsuba computes, differentiable once, from any thread.
 
-    ``function`` is made by ``dr.wrap``, and maps tensors to a list of pictures. With ``replayed`` the
-    backward pass traces it again, with the scene as it is at that time.
+    ``function`` is made by ``dr.wrap``, and maps tensors to a list of pictures. With ``replayed``, the
+    backward pass traces the function again, with the scene as it is at that time.
     """
 
-    drawn = 0  # pictures of all scenes so far: tells a backward pass whether scenes may have changed
+    drawn = 0  # number of pictures of all scenes; if it rose meanwhile, scenes may have changed
 
     def __init__(self, variant: str, function: Callable[..., list[Tensor]], replayed: bool) -> None:
         self.variant, self.function, self.replayed = variant, Kept(function), replayed
@@ -135,7 +134,7 @@ class Drawing:
         return _Recorded.apply(self, wanted, *inputs) if any(wanted) else self.draw(inputs, wanted)[1]
 
     def draw(self, inputs: Sequence[Tensor], wanted: Sequence[bool]) -> tuple[list[Tensor], Tensor]:
-        """Leaves in place of the inputs, and the pictures with a graph to the wanted ones."""
+        """The inputs as leaves of a new graph, and the pictures; the ``wanted`` leaves get gradients."""
         leaves = [tensor.detach().requires_grad_(want) for tensor, want in zip(inputs, wanted)]
         with self.in_mitsuba(), torch.set_grad_enabled(any(wanted)):
             Drawing.drawn += self.replayed
@@ -144,7 +143,7 @@ class Drawing:
 
 
 class _Recorded(torch.autograd.Function):
-    """The pictures of a drawing in torch's graph."""
+    """Puts the pictures of a :class:`Drawing` into torch's graph."""
 
     @staticmethod
     def forward(ctx: Any, drawing: Drawing, wanted: list[bool], *inputs: Tensor) -> Tensor:
@@ -163,19 +162,19 @@ class _Recorded(torch.autograd.Function):
 
 
 def _gradients(ctx: Any, inputs: Sequence[Tensor], cotangent: Tensor) -> list[Tensor]:
-    """Copies of the gradients of the inputs that want one; nothing of the drawing is kept."""
+    """Copies of the gradients of the inputs that need one; the recorded pictures are dropped."""
     record, ctx.record = ctx.record, None
     if record is None or ctx.drawing.replayed and ctx.drawn != Drawing.drawn:
         record = Kept(ctx.drawing.draw(inputs, ctx.wanted))
     leaves, images = record.content
     wanted = [leaf for leaf in leaves if leaf.requires_grad]
-    with torch.enable_grad():  # of a sum: given a gradient of the images, torch would import sympy (1 s)
+    with torch.enable_grad():  # of a sum: if given the cotangent, torch would import sympy (1 s)
         product = (images * cotangent).sum()
     return [each.clone() for each in torch.autograd.grad(product, wanted)]
 
 
 class MitsubaRenderer:
-    """The base of both renderers of Mitsuba. It computes what a scene needs, or ``needs``."""
+    """The base of both Mitsuba renderers. ``needs``: what to compute; default: what each scene needs."""
 
     name: str
     replayed = False  # see Drawing
@@ -201,7 +200,7 @@ class MitsubaRenderer:
             if key not in self._drawings:
                 self._drawings[key] = Drawing(self.variant, self._wrap(*key), self.replayed)
         views = views.in_patch_sides()
-        # Plain tensors, so that they cross dr.wrap, each with its gradient if it wants one.
+        # dr.wrap takes plain tensors, and gives a gradient to each that needs one.
         tensors = [t.to(torch.float32).to(self.device).contiguous() for t in maps.values()]
         geometry = [t.to(torch.float64).to(self.device) for t in (views.camera, views.light, views.intensity)]
         at_once = self.views_at_once(svbrdf.resolution, torch.is_grad_enabled() and any(
@@ -221,5 +220,5 @@ class MitsubaRenderer:
 
     def _wrap(self, bsdf: str, needs: Needs, side: int, falloff: str,
               names: tuple[str, ...]) -> Callable[..., list[Tensor]]:
-        """A function of ``dr.wrap``: cameras, lights, intensities (N x 3, float64) and maps to N pictures."""
+        """A function by ``dr.wrap``: cameras, lights, intensities (N x 3, float64), maps -> N pictures."""
         raise NotImplementedError

@@ -1,9 +1,9 @@
-"""Find a libLLVM that Dr.Jit works with, prove it in a child process, and load Mitsuba with it.
+"""Find a libLLVM that Dr.Jit works with, test it in a child process, and load Mitsuba with it.
 
-Dr.Jit takes any libLLVM it finds, and fixes its choice when it is first imported. An unsuitable one (15 or 16
-on a CPU with AVX-512, say) aborts the whole process at the first kernel. So a small kernel is tried in a
+Dr.Jit takes any libLLVM it finds, and fixes its choice when it is first imported. An unsuitable libLLVM (e.g.
+15 or 16 on a CPU with AVX-512) aborts the whole process at the first kernel. So a small kernel is tried in a
 child process first, success is noted in the user's cache, and ``DRJIT_LIBLLVM_PATH`` is set before Dr.Jit
-loads. Importing this module loads neither Dr.Jit nor Mitsuba; ``python -m mitsvbrdf.render.llvm`` prints the
+loads. Importing this module loads neither Dr.Jit nor Mitsuba. ``python -m mitsvbrdf.render.llvm`` prints the
 library's path or, with exit code 1, what to install.
 """
 
@@ -30,11 +30,11 @@ from ..io.signals import PROCESS
 VARIABLE = "DRJIT_LIBLLVM_PATH"
 OLDEST = 19
 INTEGRATORS, FIRST = "mitsuba.python.ad.integrators", "common"  # Mitsuba's package, and what it imports first
-_registered: set[str] = set()  # variants whose integrators in Python are loaded
+_registered: set[str] = set()  # variants whose Python integrators are loaded
 MEASURED = (19, 22)  # versions this package was developed with; the first to be tried
 
-# fmaximum (what LLVM 15 and 16 cannot select), gather, scatter_reduce, a loop and a gradient, each with a
-# known result.
+# The kernel of the test: fmaximum (LLVM 15 and 16 cannot select it), gather, scatter_reduce, a loop and a
+# gradient, each with a known result.
 PROOF = """
 import drjit as dr
 from drjit.llvm.ad import Float, UInt32
@@ -55,16 +55,16 @@ if got != want:
 
 
 class LLVM(NamedTuple):
-    """A libLLVM and the verdict on it."""
+    """A libLLVM and the result of its test."""
 
     path: str  # empty for the one that Dr.Jit finds by itself
     version: str  # e.g. 19.1.7; the major number alone, or empty, for a library that was not loaded
     proved: bool  # Dr.Jit's kernels gave the right numbers with it
-    message: str = ""  # why it was refused
+    message: str = ""  # why it cannot be used
 
 
 def use_llvm() -> LLVM:
-    """A proved libLLVM; sets :data:`VARIABLE` to it unless Dr.Jit is loaded. BackendError: none works."""
+    """A libLLVM that works, set as :data:`VARIABLE` unless Dr.Jit is loaded. BackendError: none works."""
     if importlib.util.find_spec("drjit") is None:
         raise BackendError("Dr.Jit and Mitsuba 3", "no drjit in this Python", "pip install mitsuba")
     if "drjit" in sys.modules:
@@ -83,7 +83,7 @@ def use_llvm() -> LLVM:
 
 
 def examine() -> Iterator[LLVM]:
-    """The verdict on each libLLVM in order of preference; if :data:`VARIABLE` is set, on the one it names."""
+    """Test each libLLVM, in order of preference; if :data:`VARIABLE` is set, only the one it names."""
     if os.environ.get(VARIABLE):
         yield prove(os.environ[VARIABLE])
         return
@@ -95,7 +95,7 @@ def examine() -> Iterator[LLVM]:
 
 
 def candidates() -> list[str]:
-    """Real paths of the libLLVM files: measured versions first, then the newest, unnamed ones last."""
+    """Real paths of libLLVM files: versions in MEASURED first, then the newest; without a number, last."""
     found = {os.path.realpath(path) for folder in _folders() for path in glob(f"{folder}/*LLVM[-.]*")
              if re.fullmatch(r"libLLVM([-.][\w.-]+)?\.(so[\d.]*|dylib)|LLVM-C\.dll", os.path.basename(path))}
 
@@ -114,7 +114,7 @@ def named_version(path: str) -> int:
 
 
 def _folders() -> list[str]:
-    """Where libLLVM usually lies, as glob patterns."""
+    """Glob patterns of the folders that usually contain libLLVM."""
     prefixes = {sys.prefix, os.environ.get("CONDA_PREFIX", sys.prefix)}
     return [*filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)),
             *(f"{prefix}/{lib}" for prefix in sorted(prefixes) for lib in ("lib", "Library/bin")),
@@ -124,7 +124,7 @@ def _folders() -> list[str]:
 
 
 def prove(path: str) -> LLVM:
-    """Run Dr.Jit's kernels with this library (empty: Dr.Jit's choice) in a child process, unless proved."""
+    """Test this library (empty: Dr.Jit's choice) in a child process, unless an earlier test succeeded."""
     note = _note(path)
     if note and note.is_file():
         return LLVM(path, note.read_text(), True)
@@ -154,9 +154,9 @@ def _reason(child: subprocess.CompletedProcess[str]) -> str:
 
 
 def _note(path: str) -> Path | None:
-    """The file that keeps a good verdict, named by what it depends on: library, Dr.Jit, machine.
+    """The file that records a successful test; its name depends on library, Dr.Jit and machine.
 
-    None where the library to be loaded is unknown, or the user has no home.
+    None if the library is not a known file, or the user has no home.
     """
     folder = Path(os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache"))
     if not os.path.isfile(path) or not folder.is_absolute():
@@ -167,7 +167,7 @@ def _note(path: str) -> Path | None:
 
 
 def _loaded() -> LLVM:
-    """The libLLVM of a Dr.Jit imported before; it is too late to choose another one."""
+    """The libLLVM of a Dr.Jit that is already loaded; it is too late to choose another one."""
     import drjit
 
     version, path = drjit.detail.llvm_version(), os.environ.get(VARIABLE, "")
@@ -191,13 +191,13 @@ def install_hint() -> str:
 
 
 def set_variant(mi: ModuleType, variant: str) -> None:
-    """Set Mitsuba's variant; its integrators in Python are loaded once a variant, not each time (150 ms).
+    """Set Mitsuba's variant. Its Python integrators are loaded only the first time (150 ms).
 
-    Later switches keep the integrators of the variant that the surrounding program has set.
+    Later switches to it keep the loaded integrators, e.g. those of the surrounding program's variant.
     """
     with PROCESS:
         integrators = vars(sys.modules.get(INTEGRATORS, ModuleType(INTEGRATORS)))
-        known = variant in _registered and integrators.pop(FIRST, None)  # without: no reload
+        known = variant in _registered and integrators.pop(FIRST, None)  # without it: no reload
         try:
             mi.set_variant(variant)
         finally:
@@ -207,7 +207,7 @@ def set_variant(mi: ModuleType, variant: str) -> None:
 
 
 def mitsuba_module(variant: str = "llvm_ad_rgb") -> ModuleType:
-    """The ``mitsuba`` module with this variant set; ``using_mitsuba`` also sets the earlier one back.
+    """The ``mitsuba`` module with this variant set; ``using_mitsuba`` also restores the earlier variant.
     BackendError: Mitsuba, the variant, a GPU or libLLVM is missing.
     """
     cuda = variant.startswith("cuda")

@@ -9,9 +9,9 @@ from torch import Tensor
 from ..material.maps import SVBRDF
 from ..views import Views
 
-# Up to this half angle theta between camera and light the unpolarised Fresnel reflectance stays within 4e-7
-# of F0, relative: the difference grows with the fourth power, by 0.5 theta^4 for F0 = 0.04 (2.3e-7) and at
-# most by 0.85 theta^4 for F0 -> 0 (4e-7).
+# Up to this half angle theta between camera and light, the unpolarised Fresnel reflectance differs from F0 by
+# at most 4e-7, relative. The difference is 0.5 theta^4 for F0 = 0.04 (2.3e-7), and highest for F0 -> 0:
+# 0.85 theta^4 (4e-7).
 CONSTANT_FRESNEL_DEGREES = 1.5
 
 
@@ -31,8 +31,8 @@ class Needs:
     coloured_specular: bool = True  # three specular channels instead of one that serves all
     metallic: bool = True  # the metallic map of principled materials
     normal_map: bool = True  # shading frames that differ from the plane's
-    fresnel_curve: bool = True  # reflectance that follows the angle, instead of F0
-    # traced scene only, as the next two: rays that test whether light reaches the patch
+    fresnel_curve: bool = True  # reflectance that depends on the angle, instead of F0
+    # these three in the traced scene only: rays that test whether light reaches the patch
     shadow_rays: bool = True
     path_depth: bool = True  # light that arrives after a bounce
     environment: bool = True  # light from an environment
@@ -45,14 +45,14 @@ class Needs:
 
 
 def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
-    """Decide from material, views and renderer what a point-lit plane does not need.
+    """Decide from material, views and renderer what to compute for a point-lit plane.
 
-    A lobe, a colour or a normal map is omitted where the map's values say that it changes nothing, unless the
-    map wants a gradient: a map at 0 has a slope. A grey specular map expanded from one channel
-    (``Tensor.expand``) may want a gradient: that belongs to the channel, not to the expanded tensor.
+    A lobe, a colour or a normal map is omitted if it changes no pixel and its map needs no gradient: a map of
+    0 can have a gradient. A grey specular map that is expanded from one channel (``Tensor.expand``) may need
+    one: the gradient belongs to the channel, not to the expanded tensor.
 
-    ``analytic64``, the truth of comparisons, leaves the Fresnel curve out only where camera and light are in
-    one place.
+    ``analytic64``, the reference of comparisons, omits the Fresnel curve only if each camera is at the
+    place of its light.
     """
     of_material = material_needs(svbrdf)
     angle = half_angle_bound(views)
@@ -78,7 +78,7 @@ def scene_needs(svbrdf: SVBRDF, views: Views, renderer: str) -> Needs:
 
 
 def material_needs(svbrdf: SVBRDF) -> Needs:
-    """What to compute by the maps alone, wherever cameras and lights stand."""
+    """What to compute for these maps with any cameras and lights."""
     unneeded, omitted = set[str](), list[Omitted]()
 
     def omit(flag: str, what: str, why: str) -> None:
@@ -107,7 +107,7 @@ def material_needs(svbrdf: SVBRDF) -> Needs:
 def refuse_not_finite(svbrdf: SVBRDF, views: Views) -> None:
     """Raise NotFiniteError for NaN and infinity, which Mitsuba would draw as plausible light.
 
-    One sum of each tensor shows both, in some 0.1 ms. A sum may overflow: then each value is checked.
+    One sum of each tensor detects both, in some 0.1 ms. A sum may overflow: then each value is checked.
     """
     numbers = (*svbrdf.maps.values(), views.camera, views.light, views.intensity)
     if not bool(torch.stack([t.detach().sum().double() for t in numbers]).isfinite().all()):
@@ -119,8 +119,8 @@ def half_angle_bound(views: Views) -> float:
     """Upper bound in degrees of the angle between half vector and light, over all views and points.
 
     A segment of length d, here from camera to light, looks largest from the side: at distance r it spans at
-    most 2 atan(d / (2 r)). The segment's distance from the patch is at least the middle's minus d / 2, and at
-    least the lower end's height.
+    most 2 atan(d / (2 r)). The segment's distance from the patch is at least that of its middle minus d / 2,
+    and at least the height of its lower end.
     """
     v = views.in_patch_sides().to(torch.float64)
     camera, light = v.camera.detach(), v.light.detach()

@@ -1,8 +1,8 @@
 """Mitsuba plugins for rectified photos; the rest is Mitsuba's own.
 
-They are the camera that takes such photos exactly, a normal map and a Fresnel reflectance that lose no
-digits, and an integrator that computes no more than a scene needs. Each is a class made for the variant in
-use, derived from that variant's classes.
+They are an exact camera of rectified photos, a normal map and a Fresnel reflectance that lose no digits, and
+an integrator that computes no more than a scene needs. Each is a class made for the variant in use, derived
+from that variant's classes.
 """
 
 from functools import cache
@@ -21,8 +21,8 @@ def shading_axes(normal: Any) -> tuple[Any, Any, Any]:
     import drjit as dr
 
     n = dr.normalize(normal)
-    # The tangent starts from the axis, x or y, that is farther from n: near that axis the tangents' slope in
-    # n would multiply the rounding of what the plugin returns. Errors of gradients of normals at 89.9
+    # The tangent is made from the axis, x or y, that is farther from n. From an axis near n, the tangent's
+    # slope in n would amplify the rounding of the plugin's results. Errors of gradients of normals at 89.9
     # degrees: 5e-6 -> 1e-6.
     axis = dr.select(dr.abs(n.x) < dr.abs(n.y), type(n)(1, 0, 0), type(n)(0, 1, 0))
     s = dr.normalize(axis - n * dr.dot(n, axis))
@@ -60,8 +60,8 @@ def _rectified_camera() -> type:
         """Sends each pixel's ray to its texel: film position (u, v) sees (u - 1/2, 1/2 - v, 0) of the patch.
 
         Mitsuba's ``perspective`` with a shifted principal point sees the same, but rounds the angle of view
-        to float32. That moved the hits by 5e-7 of their distance from the axis. The highlights' flanks fall
-        with the distance's fourth power, and were off by 2e-6.
+        to float32. That moved the hits by 5e-7 of their distance from the axis. The flanks of highlights fall
+        with the fourth power of the distance: their errors were 2e-6.
         """
 
         def __init__(self, props):
@@ -81,7 +81,7 @@ def _around() -> type:
     import mitsuba as mi
 
     class Around(mi.BSDF):
-        """A BSDF around another one, ``inner``, whose answers it changes."""
+        """A BSDF that changes the results of another one, ``inner``."""
 
         def __init__(self, props):
             super().__init__(props)
@@ -105,12 +105,12 @@ def _exact_normal_map() -> type:
     Vector64 = dr.float64_array_t(mi.Vector3f)
 
     class ExactNormalMap(_around()):  # type: ignore[misc]
-        """Mitsuba's ``normalmap`` with an unencoded normal and directions turned in float64.
+        """Mitsuba's ``normalmap`` with an unencoded normal and directions rotated in float64.
 
-        ``normalmap`` reads (n + 1) / 2, in which a small x or y loses digits to the 1. It multiplies in
+        ``normalmap`` reads (n + 1) / 2: a small x or y loses digits when 1 is added. It multiplies in
         float32, and near the highlight the result is a small difference of larger numbers. Errors of
-        gradients at roughness 0.1 with waves of normals, with camera and hits in float64 as well: 2.4e-6 ->
-        1.0e-6.
+        gradients fall from 2.4e-6 to 1.0e-6 (roughness 0.1, waves of normals; camera and hits in float64
+        too).
         """
 
         def __init__(self, props):
@@ -145,11 +145,11 @@ def _exact_fresnel() -> type:
     import drjit as dr
 
     class ExactFresnel(_around()):  # type: ignore[misc]
-        """A specular lobe times the Fresnel reflectance of the index with F0 at normal incidence.
+        """A specular lobe times the Fresnel reflectance whose value at normal incidence is F0.
 
-        Mitsuba's ``roughconductor`` takes that index and subtracts nearly equal numbers as F0 goes to 0 or 1.
-        It loses 8e-8 / F0: on maps fitted to photos (F0 down to 1e-3) images differed by 5e-5. Here the
-        common factor of both amplitudes is taken out on paper, as in
+        Mitsuba's ``roughconductor`` takes the refractive index, and subtracts nearly equal numbers as F0 goes
+        to 0 or 1. Its error is 8e-8 / F0: on maps fitted to photos (F0 down to 1e-3), images differed by
+        5e-5. Here the common factor of both amplitudes is taken out by algebra, as in
         :func:`mitsvbrdf.render.analytic._fresnel`.
         """
 
@@ -189,10 +189,10 @@ def _point_lit() -> type:
         return origin + direction * (dr.dot(normal, Vector64(si.p) - origin) / dr.dot(normal, direction))
 
     class PointLit(mi.SamplingIntegrator):
-        """Light straight from the emitters and after at most one bounce; without a loop, so differentiable.
+        """Direct light, and light after one bounce; without a loop, so differentiable.
 
-        ``shadow_rays``: ask whether the light is visible. ``bounces``: 0 or 1. ``environment``: add its
-        radiance for rays that leave the scene. With all, it draws what Mitsuba's ``path`` draws (tested).
+        ``shadow_rays``: test whether the light is visible. ``bounces``: 0 or 1. ``environment``: add its
+        radiance for rays that leave the scene. With all, images equal those of Mitsuba's ``path`` (tested).
         """
 
         def __init__(self, props):

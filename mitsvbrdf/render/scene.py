@@ -1,7 +1,7 @@
 """The traced Mitsuba scene through ``dr.wrap``: rectangle, point light, and the camera of a rectified photo.
 
-With one unjittered sample a pixel and a box filter every ray hits its texel's centre, so the image has no
-noise.
+There is one unjittered sample a pixel and a box filter: every ray hits its texel's centre, so the image has
+no noise.
 """
 
 import math
@@ -33,7 +33,7 @@ class SceneRenderer(MitsubaRenderer):
     @entry()
     def render(self, svbrdf: SVBRDF, views: Views) -> Tensor:
         """Linear radiance N x R x R x 3, float32; gradients to the maps, but not to camera and light:
-        emitters and sensors called by a ray carry none.
+        emitters and sensors called by a ray have none. ConfigError: such a gradient, or only one texel.
         """
         if any(t.requires_grad for t in (views.camera, views.light, views.intensity)):
             raise ConfigError("views held fixed", "a gradient asked of camera, light or intensity",
@@ -57,7 +57,7 @@ class SceneRenderer(MitsubaRenderer):
         textures: dict[str, Any] = {}
         grey = GREY if needs.coloured_specular else (*GREY, "f0", f"specular_x{needs.lobes}")
 
-        def texture(slot: str) -> Any:  # to be filled, read at texel centres without filtering
+        def texture(slot: str) -> Any:  # filled later; read at texel centres without filtering
             shape = side, side, 1 if slot in grey else 3
             data = mi.TensorXf(dr.full(mi.Float, 0.5, math.prod(shape)), shape)
             return textures.setdefault(slot, mi.load_dict({

@@ -1,12 +1,12 @@
 """Mitsuba's BSDF plugins at known texels: no rays, no film, no texture look-ups.
 
-Each pixel of a rectified photo is one texel of the maps. Where gradients are wanted, one thread serves one
-texel: it holds the texel's maps in registers, evaluates the plugin for each view, and adds up its own
-gradient. There is no scatter between threads, so gradients are the same bits in every run. Without gradients,
-one thread draws one pixel.
+Each pixel of a rectified photo is one texel of the maps. If gradients are needed, one thread computes one
+texel: it keeps the texel's maps in registers, evaluates the plugin for each view, and adds up its own
+gradient. There is no scatter between threads, so gradients are identical in every run. Without gradients, one
+thread draws one pixel.
 
-Directions are computed in float64, in the texel's own shading frame, and rounded once, to what the plugin
-takes. In float32 the half vector of a narrow highlight would keep few digits of its part across the normal.
+Directions are computed in float64, in the texel's own shading frame, and rounded once, to the plugin's
+float32. In float32, the half vector of a narrow highlight would keep few digits perpendicular to the normal.
 Gradient errors against float64 at roughness 0.1 with random normals: 8e-6 -> 3e-7, for a sixth more time.
 """
 
@@ -36,11 +36,11 @@ class TexelRenderer(MitsubaRenderer):
     name = "mitsuba"
 
     def views_at_once(self, side: int, gradients: bool) -> int:
-        """How many views one kernel draws; with gradients it unrolls them, and more take several launches."""
+        """How many views one kernel draws. It unrolls views with gradients; more need several launches."""
         return UNROLLED if gradients else max(UNROLLED, TILE // side**2)
 
     def _pictures(self, drawing: Drawing, side: int, geometry: list[Tensor], maps: list[Tensor]) -> Tensor:
-        """Draw large maps in strips of rows, unless a gradient is wanted: intermediate values stay small."""
+        """Draw large maps in strips of rows if no gradient is needed: intermediate values stay small."""
         places = torch.arange(side**2, dtype=torch.int32, device=self.device).reshape(side, side)
         inputs = [*geometry, *maps]
         if side**2 <= TILE or torch.is_grad_enabled() and any(each.requires_grad for each in inputs):
@@ -89,10 +89,10 @@ class TexelRenderer(MitsubaRenderer):
 
 
 class HeldPlugin:
-    """A Mitsuba plugin in its own shading frame, with the maps' values of the texel that a thread holds.
+    """A Mitsuba plugin in its own shading frame; each thread evaluates it with the values of its own texel.
 
-    Its textures answer with these values, whatever the position. :attr:`plugin` is Mitsuba's object. The
-    caller applies the normal map.
+    Its textures return these values at any position. :attr:`plugin` is Mitsuba's object. The caller applies
+    the normal map.
     """
 
     def __init__(self, mi: ModuleType, bsdf: str, needs: Needs) -> None:
@@ -102,13 +102,13 @@ class HeldPlugin:
         Texture: Any = mi.Texture
 
         class Held(Texture):
-            """A texture that answers with the value the thread holds, whatever the position."""
+            """A texture that returns the thread's own value at any position."""
 
             def __init__(self, props: Any) -> None:
                 super().__init__(props)
                 self.slot = props["slot"]
 
-            # 0 where nothing is held: Dr.Jit may trace this texture along with another renderer's.
+            # 0 if no value is set: Dr.Jit may trace this texture along with another renderer's.
             def eval(self, si: Any, active: Any = True) -> Any:
                 return mi.Color3f(held.get(self.slot, 0))
 
@@ -158,9 +158,9 @@ def texel_position(mi: ModuleType, index: Any, side: Any) -> Any:
 
 
 def along(value: Any, directions: list) -> list:
-    """Slopes of a Dr.Jit value along directions (lists of (variable, tangent)), also in symbolic loops.
+    """Slopes of a Dr.Jit value along directions, each a list of (variable, tangent); also in symbolic loops.
 
-    The variables have gradients enabled; they are left as they were.
+    The variables must have gradients enabled. Their gradients are cleared.
     """
     import drjit as dr
 
@@ -174,14 +174,14 @@ def along(value: Any, directions: list) -> list:
 
 
 def frozen(function: Callable, shader: HeldPlugin) -> Callable:
-    """Freeze a function of Dr.Jit arrays: it is traced once; it may evaluate the plugin.
+    """Freeze a function of Dr.Jit arrays, so that it is traced once. It may evaluate the shader's plugin.
 
-    Python's garbage collector is off meanwhile: if it freed an array in torch's memory while Dr.Jit 1.5.0
+    Python's garbage collector is off in each call: if it freed an array in torch's memory while Dr.Jit 1.5.0
     records, the process would abort ("enqueue_host_func(): this function cannot be recorded").
     """
     import drjit as dr
 
-    held: Any = weakref.ref(shader)  # Dr.Jit makes a class for each function, which refers to itself
+    held: Any = weakref.ref(shader)  # Dr.Jit makes a class for each function; it refers to itself
     traced = dr.freeze(function, state_fn=lambda *_: held().plugin)
 
     def call(*args: Any) -> Any:
@@ -197,7 +197,7 @@ def frozen(function: Callable, shader: HeldPlugin) -> Callable:
 
 
 def from_torch(mi: ModuleType, tensor: Tensor) -> Any:
-    """A tensor as a flat Dr.Jit array (Float, Float64 or UInt32), in the same memory where possible."""
+    """A tensor as a flat Dr.Jit array (Float, Float64 or UInt32), in the same memory if possible."""
     import drjit as dr
 
     kinds = {torch.float64: dr.float64_array_t(mi.Float), torch.int32: mi.UInt32}
@@ -209,7 +209,7 @@ def from_torch(mi: ModuleType, tensor: Tensor) -> Any:
 
 
 def to_torch(values: list) -> Tensor:
-    """Dr.Jit arrays of one length, in lists of lists, as one tensor with the length last."""
+    """One tensor from nested lists of Dr.Jit arrays of one length; this length is its last dimension."""
     import drjit as dr
 
     dr.eval(values)
@@ -223,7 +223,7 @@ def to_torch(values: list) -> Tensor:
 
 def view_geometry(mi: ModuleType, place: Any, axes: Any, camera: Any, light: Any, intensity: Any,
                   falloff: str) -> tuple[Any, Any, Any]:
-    """Directions of a view's texels (to camera, to light; shading frame) and the factor I / d^2."""
+    """Directions from texels to camera and to light, in the shading frame, and the factor I / d^2."""
     import drjit as dr
 
     def local(direction: Any) -> Any:

@@ -7,7 +7,7 @@ SHOWN_IN_NOTEBOOKS = {"SVBRDF": "material.maps", "Capture": "capture.capture", "
 
 
 def show_in_notebooks() -> None:
-    """Let IPython show materials, captures and fits as pictures, where it runs. This loads nothing."""
+    """If IPython runs, let it show materials, captures and fits as pictures. This imports no module."""
     shell = sys.modules["IPython"].get_ipython() if "IPython" in sys.modules else None
     if shell is not None:
         html = shell.display_formatter.formatters["text/html"]

@@ -1,4 +1,4 @@
-"""How good a capture is: its numbers as JSON, and a page of them."""
+"""The quality of a capture: its numbers as JSON, and a page that shows them."""
 
 import math
 from pathlib import Path
@@ -18,7 +18,7 @@ from .page import write_page
 from .pictures import at_most, picture_uri, png_uri
 
 SCHEMA_VERSION = 1
-THUMBNAIL, FULL = 240, 400  # pixels on the page, and of a rejected photo as it is read
+THUMBNAIL, FULL = 240, 400  # pixels a side: of a photo on the page; of a rejected photo when it is read
 PLAN_REACH = 0.75  # least half side of the plan, in patch sides
 # colours of the coverage map; distinct in grey, too
 SEEN, UNSEEN = (0.93, 0.80, 0.50), (0.36, 0.42, 0.50)
@@ -71,7 +71,7 @@ def quality_record(result: CaptureResult) -> dict:
 
 
 def _shown(photo: Photo) -> Tensor | None:
-    """A photo as viewers show it, upright and small; None where it cannot be read."""
+    """A photo as viewers show it, upright and small; None if it cannot be read."""
     try:
         pixels = photo.pixels(FULL)
     except CaptureError:
@@ -89,7 +89,7 @@ def _plan(result: CaptureResult) -> dict:
     places = [*sides.values(), *([next_place] if next_place else [])]
     half = max(PLAN_REACH, 0.1 + max(abs(x) for place in places for x in place[:2]))
     dots = [(name, x, -y) for name, (x, y, _) in sides.items()]
-    # a number stands below its dot where another dot is in its way
+    # a number is below its dot if another dot is in its way
     cameras = [(name, x, y, y + (0.075 if any(abs(x - u) < 0.06 and 0 < y - v < 0.1 for _, u, v in dots)
                                  else -0.035)) for name, x, y in dots]
     return {"half": half, "cameras": cameras, "stand": next_place and (next_place[0], -next_place[1])}

@@ -1,4 +1,4 @@
-"""What a fit's page says beyond ``fit.json``: checks of the renderer on this material."""
+"""Checks of the renderers on a fitted material, for the page of the fit and ``report.json``."""
 
 import math
 from collections.abc import Sequence
@@ -13,7 +13,7 @@ from ..verify.crosscheck import crosscheck
 from ..views import Views
 
 SCHEMA_VERSION = 1
-QUICK_SIDE, QUICK_VIEWS = 64, 2  # of the check that every fit makes: below half a second
+QUICK_SIDE, QUICK_VIEWS = 64, 2  # of the check after every fit, which takes less than 0.5 s
 # texels a side; errors and ratios hardly depend on it. Float64 takes 50 MB a view
 LARGEST, MOST_VIEWS = 256, 25
 
@@ -23,9 +23,9 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
                report: Report = lambda text, share: None) -> dict:
     """Measure renderers on fitted maps, in the views of the fit.
 
-    ``renderer`` is None for a fit that is not ours; then nothing that needs the fit's renderer is measured. A
-    quick report checks the fit's renderer alone, at 64 px in two views, and times nothing. Any other report
-    is at 256 px at most, in 25 views at most, evenly chosen. docs/formats.md explains the record for JSON.
+    ``renderer`` is None if the fit used one of another package, which cannot be measured. A quick
+    report checks the fit's renderer alone, at 64 px in two views, without run times. Any other report is at
+    256 px at most, in 25 views at most, evenly chosen. docs/formats.md explains the record for JSON.
     """
     engines = [] if renderer is None else [renderer]
     if not quick:
@@ -47,7 +47,7 @@ def fit_report(svbrdf: SVBRDF, views: Views, renderer: Renderer | None, *, names
 
 
 def _available(name: str, beside: Renderer | None) -> list[Renderer]:
-    """The renderer of this name, or none where Mitsuba or libLLVM is missing."""
+    """A list of the renderer of this name; empty if Mitsuba or libLLVM is missing."""
     try:
         return [make_renderer(name, (beside and beside.variant) or "llvm_ad_rgb")]
     except BackendError:

@@ -48,7 +48,7 @@ def _uri(name: str, value: Tensor) -> str:
 
 
 def _table(record: dict) -> list[dict]:
-    """Groups of rows: what was measured, each method's value, and the best where all are comparable."""
+    """Groups of rows: what was measured, each method's value, and the best if all are comparable."""
     methods, groups = record["methods"], []
 
     def row(name: str, values: list[float | None], alike: bool = True) -> dict:

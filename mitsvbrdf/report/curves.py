@@ -3,10 +3,10 @@
 import math
 from collections.abc import Mapping, Sequence
 
-# seen on black and on white
+# visible on black and on white
 COLOURS = ("#d1651f", "#2b7fc4", "#3a9a54", "#b453b0", "#a98417", "#6673dc", "#c9485c", "#1f9c9c")
 CHART_WIDTH, CHART_HEIGHT = 460, 270
-# left, top, right, bottom; ticks and their numbers stand outside
+# left, top, right, bottom; ticks and their numbers are outside
 FRAME = (58, 10, CHART_WIDTH - 12, CHART_HEIGHT - 38)
 MOST_MARKED = 40  # up to this many points of a line, each is marked
 MOST_POINTS = 1000  # of a line; of a longer trace only every k-th is shown
@@ -15,9 +15,9 @@ MOST_POINTS = 1000  # of a line; of a longer trace only every k-th is shown
 def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
     """The named columns of a trace (one dict a measurement) against its ``seconds``, both logarithmic.
 
-    Logarithmic axes omit points at 0 seconds and values that are not positive or beyond 1e99. Gives ``width``
-    and ``height``, the ``frame`` (left, top, right, bottom), ``x`` and ``y`` as (place, label) of each tick,
-    and ``lines``: ``name``, ``colour``, ``points`` (x, y, seconds, value), ``marked``; None without a point.
+    Points at 0 seconds, and values that are not positive or beyond 1e99, are omitted. Returns None if no
+    point is left, else ``width``, ``height``, ``frame`` (left, top, right, bottom), ``x`` and ``y`` ((place,
+    label) of each tick), and ``lines``: ``name``, ``colour``, ``points`` (x, y, seconds, value), ``marked``.
     """
     rows = list(trace[::max(1, math.ceil(len(trace) / MOST_POINTS))])
     rows += [trace[-1]] if trace and rows[-1] is not trace[-1] else []
@@ -37,7 +37,7 @@ def curves(trace: Sequence[Mapping], names: Sequence[str]) -> dict | None:
 
 
 def error_and_losses(trace: Sequence[Mapping]) -> list[tuple[str, dict]]:
-    """Title and drawing of the error, and of the losses; only drawings with points."""
+    """(title, drawing) of the error, and of the losses; a drawing without points is omitted."""
     losses = [name for name in dict.fromkeys(name for row in trace for name in row)
               if name not in ("seconds", "iteration", "stage", "rerender_rmse")]
     drawn = (("Re-rendering RMSE", curves(trace, ["rerender_rmse"])), ("Losses", curves(trace, losses)))
@@ -61,7 +61,7 @@ class _Axis:
         return round(self.start + share * (self.end - self.start), 1)
 
     def ticks(self) -> list[tuple[float, str]]:
-        """At most about eight powers of ten; finer or even steps where fewer than three lie on the axis."""
+        """(place, label) of each tick: about eight powers of ten at most; if under three, finer steps."""
         from matplotlib.ticker import LogLocator, MaxNLocator
 
         low, high = 10**self.low, 10**self.high

@@ -1,4 +1,4 @@
-"""The page of a fit: made from what lies in its folder, so that it can be made again at any time.
+"""The page of a fit: made from the files in its folder, so that it can be made again at any time.
 
 The module also writes the page of plausible detail, which is for pictures only.
 """
@@ -34,10 +34,10 @@ from .pictures import at_most, magma, picture_uri
 from .viewer import viewer_html
 
 LARGEST_MAP = 512  # pixels a side on the page
-# bytes up to which a map is a PNG: any map of 256 px is, so its texels can be looked at closely
+# a map of up to this many bytes is a PNG, which shows exact texels; every map of 256 px is
 EXACT_MAP = 256 * 1024
 LARGEST_PHOTO, SMALLEST_PHOTO, PHOTOS_WIDE = 512, 96, 768  # nine photos get 256 px, a hundred 96
-# how far the error of a photo may be from what fit.json says; the same photos agree to float32, 1e-7
+# allowed difference of a photo's error from that in fit.json; the same photos agree to float32, 1e-7
 SAME_PHOTO = 1e-4
 
 
@@ -63,13 +63,13 @@ def write_report(fit: Fit | str | Path, quick: bool = False, held_out: Capture |
     """Check a fit's renderers, and write ``report.json`` and ``report.html`` into its folder.
 
     Args:
-        fit: the fit or its folder, with the photos it used in ``photos/`` where they are to be shown.
-        quick: check the fit's renderer alone, on small maps and few views, and time nothing.
-        held_out: photos that the fit did not use, to predict and keep; None: those that an earlier page had.
-            Where the capture states no views, add those that the fit used: they help to place the others.
+        fit: the fit or its folder; its photos are shown if they are in ``photos/`` there.
+        quick: check the fit's renderer alone, on small maps and few views, without run times.
+        held_out: photos that the fit did not use, to predict and keep; None: those of an earlier page. If the
+            capture states no views, add the photos that the fit used: they help to estimate the views.
         into: the folder to write to; photos there are preferred to those of the fit; default: the fit's.
 
-    Returns what ``report.json`` holds.
+    Returns the content of ``report.json``.
 
     Raises:
         MapsError: not the folder of a fit.
@@ -162,7 +162,7 @@ def _write_page(found: Fit, record: dict, into: Path) -> None:
 
 
 def _maps(found: Fit) -> list[dict]:
-    """Of each map its name, its picture, and a picture of its standard deviation where there is one."""
+    """A dict for each map: name, title, picture, and a picture of its standard deviation or None."""
     maps = []
     for name in CHANNELS[found.svbrdf.bsdf]:
         spread = found.deviations.get(name)
@@ -212,7 +212,7 @@ DETAIL_PAGE = "detail.html"
 
 
 def write_detail_page(found: Fit, into: Path) -> str | None:
-    """Write ``detail.html``: maps, a new light and the viewer of plausible detail; its name, None without."""
+    """Write ``detail.html``, the page of plausible detail; return its name, or None for a fit without it."""
     if found.detail is None:
         return None
     assert found.transfer is not None  # a fit's record has it
@@ -231,7 +231,7 @@ def write_detail_page(found: Fit, into: Path) -> str | None:
 
 
 def unseen_view(views: Views) -> Views:
-    """The mean view of two photos: of all pairs, the one whose camera is farthest from every camera."""
+    """The mean view of two photos: of all pairs, the one whose camera is farthest from its nearest camera."""
     pairs = torch.combinations(torch.arange(len(views)), with_replacement=True)
     camera, light, intensity = (x[pairs].mean(dim=1) for x in (views.camera, views.light, views.intensity))
     farthest = int(torch.cdist(camera, views.camera).amin(dim=1).argmax())

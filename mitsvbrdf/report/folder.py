@@ -1,4 +1,4 @@
-"""What a fit leaves on disk."""
+"""Write a fit to a folder: maps, records, pictures, page."""
 
 from functools import partial
 from pathlib import Path
@@ -27,7 +27,7 @@ from .header import material_name
 from .overview import write_sheet
 from .pictures import at_most
 
-SHEET = 512  # pixels a side that the sheet is made of, at most
+SHEET = 512  # pixels a side of maps and photos for the sheet, at most
 
 
 @entry()
@@ -35,21 +35,21 @@ def write_fit(result: Fit, capture: Capture, out: str | Path, command: dict | No
               held_out: Capture | None = None, pages: bool = True, overwrite: bool = False) -> None:
     """Write a fit into a folder, which appears whole or not at all.
 
-    It holds maps, detail, uncertainty, guess, photos, re-renderings, sheet, scene, ``fit.json`` and page.
+    The folder gets maps, detail, uncertainty, guess, photos, re-renderings, sheet, scene, ``fit.json``, page.
 
     Args:
         result: what :func:`mitsvbrdf.fit.fit_svbrdf` gave.
         capture: the photos it was fitted to.
-        out: the folder, made when missing.
+        out: the folder; made if it is missing.
         command: options of the command line, kept in ``fit.json``.
         held_out: photos that the fit did not use, for the page to predict; see
             :func:`.fit_page.write_report`.
         pages: whether all of that is written; else maps, detail, uncertainty and ``fit.json`` alone.
-        overwrite: whether a fit that is there, finished or not, may be replaced.
+        overwrite: whether an existing fit, finished or not, may be replaced.
 
     Raises:
-        OutputError: there is a fit already; ``out`` cannot be written or is in use, or its ``photos/`` is
-            where the capture came from.
+        OutputError: there is a fit already; ``out`` cannot be written or is in use; or ``out``, or its
+            ``photos/``, is the folder of the capture.
     """
     for shots in (capture, held_out) if pages else ():
         if shots is not None:
@@ -91,7 +91,7 @@ def _write_renderings(result: Fit, capture: Capture, out: Path) -> Tensor:
 
 
 def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_out: Capture | None) -> None:
-    """What people look at, and the scene."""
+    """Write pictures, re-renderings, page, and the scene for Mitsuba."""
     images.write_all(linear_writes(out / "guess/diffuse", result.guess, "srgb"))
     small = _write_renderings(result, capture, out)
     title = f"{material_name(result)}: {result.method}, {result.svbrdf.bsdf}"

@@ -1,4 +1,4 @@
-"""What a page begins with: the material on a sphere, and a verdict."""
+"""The top of a page: the material on a sphere, and a verdict."""
 
 from ..errors import BackendError
 from ..fit.result import Fit
@@ -11,7 +11,7 @@ QUICK, FULL = 256, 512  # pixels of the sphere
 def header(found: Fit, quick: bool) -> dict:
     """Picture and verdict of a fit; ``quick``: a smaller picture.
 
-    Gives ``picture`` (an address, or None where Mitsuba cannot run), ``good`` and ``verdict``.
+    Returns ``picture`` (a ``data:`` address; None if Mitsuba cannot run), ``good`` and ``verdict``.
     """
     try:
         picture = picture_uri(sphere(found.svbrdf, QUICK if quick else FULL))
@@ -22,7 +22,7 @@ def header(found: Fit, quick: bool) -> dict:
 
 
 def material_name(found: Fit) -> str:
-    """What every page and file of a fit calls its material: the name of the folder of its photos."""
+    """The name of the material on all pages and in all files of a fit: that of the folder of its photos."""
     return found.capture or "material"
 
 

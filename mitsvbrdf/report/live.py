@@ -1,7 +1,7 @@
 """The live page of a fit: one static file beside the result that is being made, rewritten while the fit runs.
 
-It opens from disk. A script reloads the page every two seconds while ``live.svg`` lies beside it. When that
-file is gone, the script opens the report of the finished fit.
+It opens from disk. A script reloads the page every two seconds while ``live.svg`` is beside it. When
+``live.svg`` is gone, the script opens the report of the finished fit.
 """
 
 import os
@@ -35,7 +35,7 @@ class LivePage:
         self(None)
 
     def __call__(self, fit: LiveState | None) -> None:
-        """Rewrite the page, in one step; None: nothing is known yet."""
+        """Rewrite the page, in one step. ``fit`` None: nothing is known yet."""
         best = fit and min(fit.trace, key=lambda row: row["rerender_rmse"], default=None)
         svbrdf = fit and fit.svbrdf
         maps = [(TITLES[name], picture_uri(shown_map(name, svbrdf[name]).nan_to_num()))
@@ -47,6 +47,6 @@ class LivePage:
                    written=time.time(), clock=time.strftime("%H:%M:%S"))
 
     def end(self) -> None:
-        """Take the page away: the report follows in its place."""
+        """Remove the page: the report replaces it."""
         for name in (PAGE, MARK):
             self.path.with_name(name).unlink(missing_ok=True)

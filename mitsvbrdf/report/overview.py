@@ -58,7 +58,7 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
 
     Colour maps are shown in sRGB, roughness and metallic as they are, normals as (n + 1) / 2. At most nine
     photos are shown. Photos and re-renderings are display values N x R x R x 3 in [0, 1], errors in display
-    values too; the guess is linear. ``remarks`` are a few words beside the name of some maps.
+    values too; the guess is linear. ``remarks``: name of a map to words shown beside it.
     """
     count = len(photos)
     shown = min(count, SHOWN)

@@ -1,7 +1,7 @@
 """Self-contained HTML pages: one file that opens from disk, in light and dark, with no network request.
 
-A page computes nothing: it gets numbers that stand in a JSON, and pictures that are made here from tensors.
-Its template stands beside the module that fills it; ``report/base.html`` holds the look that all pages share.
+A page computes nothing: it gets numbers that are in a JSON file, and pictures made from tensors. Its template
+is beside the module that fills it; ``report/base.html`` has the style that all pages share.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def write_page(path: str | Path, template: str, **context: object) -> None:
 
 
 def page_text(template: str, **context: object) -> str:
-    """A template as text, with the arguments of :func:`write_page`; what UTF-8 cannot write becomes a ?."""
+    """The text of a page; arguments as :func:`write_page`. Characters outside UTF-8 become ``?``."""
     return _environment().get_template(template).render(context).encode(errors="replace").decode()
 
 

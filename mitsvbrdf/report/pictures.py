@@ -1,6 +1,6 @@
 """Pictures inside a page: tensors as ``data:`` addresses for ``<img src>``, shrunk, or as colours of errors.
 
-Everything here takes display values (encoded, 0 to 1), never linear radiance. OpenCV and matplotlib are
+Pictures have display values (encoded, 0 to 1), never linear radiance. OpenCV and matplotlib are
 loaded with the first picture.
 """
 
@@ -16,7 +16,7 @@ from ..material.resample import averaged_rows
 
 
 def magma(share: Tensor) -> Tensor:
-    """Shares 0 to 1 of any shape as display values of matplotlib's ``magma``, of the same shape x 3."""
+    """Numbers 0 to 1, of any shape, in colours of matplotlib's ``magma``: display values, that shape x 3."""
     import matplotlib
 
     return torch.as_tensor(matplotlib.colormaps["magma"](share.clamp(0, 1).numpy())[..., :3],
@@ -44,7 +44,7 @@ def _uri(display: Tensor, kind: str, *options: int) -> str:
 
 
 def encoded(display: Tensor, kind: str, *options: int) -> bytes:
-    """An image file of this kind, with options of OpenCV, of display values H x W x 3 or x 1."""
+    """Display values H x W x 3 or x 1 as an image file of this kind; ``options`` are OpenCV's."""
     import cv2
 
     levels = (color.clip(display.detach().float()) * 255).round().to(torch.uint8)
@@ -55,7 +55,7 @@ def encoded(display: Tensor, kind: str, *options: int) -> bytes:
 def at_most(picture: Tensor, side: int, shown: Callable[[Tensor], Tensor] = Tensor.detach) -> Tensor:
     """A picture H x W x C area-averaged so that no side is longer than this many pixels.
 
-    ``shown`` makes display values of some of its rows.
+    ``shown`` turns some of its rows into display values.
     """
     if max(picture.shape[:2]) <= side:
         return shown(picture)
@@ -72,7 +72,7 @@ def shrunk(picture: Tensor, side: int) -> tuple[int, int]:
 def error_picture(error: Tensor, high: float, low: float | None = None) -> Tensor:
     """Sizes of an error, H x W, in the colours of ``magma``, log scale, as H x W x 3 display values.
 
-    ``low`` is shown black, ``high`` brightest. Default: ``high`` / 1e4.
+    ``low`` is shown black, ``high`` brightest. Default of ``low``: ``high`` / 1e4.
     """
     low = low or high / 1e4
     share = (torch.log(error.double().clamp_min(1e-300) / low) / math.log(high / low)).clamp(0, 1)

@@ -2,7 +2,7 @@
 // MIN_ALPHA, F0_LOW, F0_HIGH and DIELECTRIC_F0 are defined by viewer.js from the package's own constants. Directions are in the
 // surface's frame: +x along u, +y up, +z out of the surface. Lengths are in patch sides.
 //
-// The patch is cut as Mitsuba cuts it: black where light or camera stand behind the surface or behind the normal of the texel.
+// The patch is cut as Mitsuba cuts it: black where light or camera is behind the surface or behind the normal of the texel.
 // On the sphere that would leave holes at its rim and a hard edge of its shadow; there only light behind the normal is cut.
 precision highp float;
 precision highp int;
@@ -29,7 +29,7 @@ struct Texel { vec3 colour, second, normal; float roughness; };
 // frame: along u, up, outward; uv: (0, 0) is the top left corner; flip: -1 along an axis where the maps are mirrored.
 struct Point { vec3 position; mat3 frame; vec2 uv; vec3 flip; };
 
-vec4 lookUp(sampler2D map, vec2 uv) {  // bilinear, float textures need no filter of the card's
+vec4 lookUp(sampler2D map, vec2 uv) {  // bilinear, so that the card need not filter float textures
   ivec2 last = textureSize(map, 0) - 1;
   vec2 at = uv * vec2(last + 1) - 0.5, low = floor(at), t = at - low;
   ivec2 a = clamp(ivec2(low), ivec2(0), last), b = clamp(ivec2(low) + 1, ivec2(0), last);

@@ -26,7 +26,7 @@
   const along = (axes, [x, y, z]) => [0, 1, 2].map((i) => axes[0][i] * x + axes[1][i] * y + axes[2][i] * z);
 
   // ---- Maps ------------------------------------------------------------------------------------------------------------
-  // As report/viewer.py's encode says: per channel a plane of high bytes, then one of low bytes.
+  // As `encode` in report/viewer.py writes them: per channel a plane of high bytes, then one of low bytes.
   async function decodeMaps() {
     const text = atob(find(".payload").textContent);
     const packed = new Uint8Array(text.length);
@@ -149,8 +149,8 @@
   }
 
   // ---- Scene -----------------------------------------------------------------------------------------------------------
-  // What the shader needs, from the state and what overrides it. Where no intensity is given, a white diffuse texel that faces
-  // the light from the centre of the patch, or from the sphere's foremost point, has radiance 1 wherever the light stands.
+  // What the shader needs: the state with overrides. If no intensity is given, a white diffuse texel that faces the light from
+  // the centre of the patch, or from the sphere's foremost point, has radiance 1 wherever the light is.
   function sceneOf(overrides = {}) {
     const scene = { ...state, ...overrides, maps: { ...state.maps, ...overrides.maps } };
     const [across, up] = scene.turn.map((degrees) => degrees * Math.PI / 180);
@@ -188,7 +188,7 @@
   }
 
   // ---- Drawing, when something changed -----------------------------------------------------------------------------------
-  const REST = 120, PAUSE = 100;  // milliseconds: of stillness before the fine drawing; about what one of its stripes takes
+  const REST = 120, PAUSE = 100;  // milliseconds: without a change before the fine drawing; for one stripe of it
   let screen = null, maps = null, asked = 0, settle = 0, fine = false;
 
   function draw(samples, from = 0, rows = canvas.height) {
@@ -333,11 +333,11 @@
   window.mitsvbrdfViewer = {
     state, set,
     get ready() { return begun ??= begin(); },  // whether it can draw
-    get fine() { return fine; },  // whether what stands there is as fine as it gets
+    get fine() { return fine; },  // whether the fine drawing is complete
     // Pixels of a square picture, four values each, row 0 at the top: bytes of sRGB, or, if `linear`, floats of linear
-    // radiance. Whatever of the state is not given is as it stands. view: patch, sphere, or rectified, where pixel = texel
+    // radiance. State that is not given stays as it is. view: patch, sphere, or rectified, where pixel = texel
     // for camera and light at these positions. intensity: of the light, rgb; default: pi |light|^2.
-    // axes (right, up, back) and zoom say how the camera of patch and sphere looks.
+    // axes (right, up, back) and zoom: of the camera of patch and sphere.
     pixels({ view = "rectified", size = about.resolution, samples = 1, linear = false, ...overrides } = {}) {
       const scene = sceneOf({ ...overrides, surface: view }), data = screen.read(scene, size, samples, linear);
       return { size, data, camera: scene.camera, light: scene.light, axes: scene.axes, zoom: scene.zoom };

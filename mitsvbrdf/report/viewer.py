@@ -1,7 +1,7 @@
 """The live viewer: an HTML fragment that shades a material's maps in WebGL2 as ``render/analytic.py`` does.
 
-Maps travel as integers of 12 or 16 bits, high and low bytes apart, deflated, in base64. Eight bits would not
-do: a highlight of roughness 0.1 is 0.01 wide, as wide as 2.5 steps of an 8-bit normal map.
+It has the maps as integers of 12 or 16 bits, high and low bytes apart, deflated, in base64. Eight bits
+are too few: a highlight of roughness 0.1 is 0.01 wide, 1.3 steps of an 8-bit normal map.
 """
 
 import base64
@@ -21,9 +21,9 @@ TOP_LEVELS = {"square": 4095, "plain": 65535, "octahedral": 65535}  # highest in
 def viewer_html(svbrdf: SVBRDF) -> str:
     """The viewer as an HTML fragment, for one place of a page that extends ``report/base.html``.
 
-    The template marks it ``|safe``. It asks nothing of the network, opens from disk, and puts
-    ``window.mitsvbrdfViewer`` into the page (``viewer.js``). Larger maps are area-averaged. MapsError: values
-    that are not finite or out of range.
+    The template marks it ``|safe``. It loads nothing from the network, opens from disk, and defines
+    ``window.mitsvbrdfViewer`` (``viewer.js``). Maps above :data:`VIEWER_SIDE` are area-averaged. MapsError:
+    values that are not finite or out of range.
     """
     svbrdf = svbrdf.detach().check()
     svbrdf = svbrdf.resized(min(svbrdf.resolution, VIEWER_SIDE))
@@ -40,17 +40,17 @@ def viewer_html(svbrdf: SVBRDF) -> str:
 
 
 def encode(name: str, value: np.ndarray, coding: str) -> tuple[dict, bytes]:
-    """A picture, H x W x C, as bytes, and what a reader must know to decode it.
+    """Encode a picture H x W x C; return a description for the decoder, and the bytes.
 
-    Each channel holds integers q in [0, top] that stand for x = low + q (high - low) / top, with its own low
-    and high, so a constant channel is exact. The coding gives the value: ``square`` x^2 (colours: even steps
-    for the eye), ``plain`` x, ``octahedral`` the unit vector, z > 0, of two channels, s = x + y and t = x -
-    y, both over |x| + |y| + |z| (Cigolle et al. 2014, hemi-octahedral), off by at most 3.8e-5 rad in any
-    direction.
+    Each channel has integers q in [0, top] that mean c = low + q (high - low) / top, with its own low and
+    high, so a constant channel is exact. The value follows from c by the coding. ``square``: it is c^2
+    (colours: even steps for the eye). ``plain``: c. ``octahedral``: a unit vector (x, y, z), z > 0, from two
+    channels, x + y and x - y, both divided by |x| + |y| + |z| (Cigolle et al. 2014, hemi-octahedral); its
+    error is at most 3.8e-5 rad.
 
-    First comes ``{"name", "coding", "top", "height", "width", "low": [...], "high": [...]}``, then of each
-    channel H x W high bytes, then H x W low bytes, row 0 at the top. In the page all planes follow one
-    another, deflated in zlib's format.
+    The description is ``{"name", "coding", "top", "height", "width", "low": [...], "high": [...]}``. The
+    bytes are, channel by channel, H x W high bytes, then H x W low bytes, row 0 at the top. In the page all
+    planes follow one another, deflated in zlib's format.
     """
     if coding == "octahedral":
         x, y = np.moveaxis(value[..., :2], -1, 0) / np.abs(value).sum(-1)

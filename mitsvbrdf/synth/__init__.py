@@ -14,9 +14,9 @@ from ..views import Views
 @entry()
 def photograph(svbrdf: SVBRDF, views: Views, renderer: Renderer, noise: float = 0.0, seed: int = 0,
                transfer: color.Transfer = "gamma2.2") -> Capture:
-    """What a camera would store of a material: 8 bits, clipped, with sensor noise.
+    """Simulate photos of a material as a camera stores them: 8 bits, clipped, with sensor noise.
 
-    The noise is the standard deviation of normally distributed numbers, in linear radiance.
+    ``noise``: standard deviation of the normally distributed noise, in linear radiance.
     """
     stored, random = [], torch.Generator().manual_seed(seed)
     for some in batches(len(views), svbrdf.resolution):  # memory stays small

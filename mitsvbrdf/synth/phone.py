@@ -1,4 +1,4 @@
-"""A simulated phone takes raw photos of known maps, to test the way from photos to maps.
+"""A simulated phone: it takes raw photos of known maps, to test the way from photos to maps.
 
 It has a lens with distortion, vignetting and a principal point off the centre, a flash beside the lens, one
 manual exposure, noise, 8 bits, JPEG and EXIF. It has no colour mosaic, sharpening, noise reduction, local
@@ -26,20 +26,20 @@ DIAGONAL_35MM = math.hypot(36, 24)
 
 @dataclass(frozen=True)
 class HandheldPhone:
-    """A phone, the hand that holds it, and what lies under it. Lengths in cm, angles in degrees."""
+    """A phone, the hand that holds it, and what is under it. Lengths in cm, angles in degrees."""
 
     megapixels: float = 12.0
     """Size of a photo, whose sides are 4 : 3. 12 megapixels are 4032 x 3024."""
     photos: int = 9
     """Number of photos. They are taken near the places of the nine-view grid."""
     sheet: float | None = None
-    """Side of the sheet of tags on the material, over the tags' outer edges. Default: no sheet."""
+    """Side of the sheet of tags on the material, between the tags' outer edges. Default: no sheet."""
     depth: float = PAPER_THICKNESS
-    """How deep the material lies under the sheet's upper side. Default: the thickness of paper."""
+    """Distance of the material below the sheet's upper side. Default: the thickness of paper."""
     side: float | None = None
-    """Side of the sample of material. Default: the side of the sheet; 24 without a sheet."""
+    """Side of the sample of material. Default: the sheet with its white rim; 24 without a sheet."""
     focal_35mm: float = 26.4
-    """35 mm equivalent focal length, by the diagonal. EXIF rounds it to whole millimetres."""
+    """35 mm equivalent focal length (equal diagonals). EXIF rounds it to whole millimetres."""
     centre: tuple[float, float] = (6.0, -5.0)
     """Offset of the principal point from the middle of the photo, in pixels at 12 megapixels."""
     distortion: tuple[float, float] = (0.06, -0.04)
@@ -47,9 +47,9 @@ class HandheldPhone:
     vignetting: tuple[float, float] = (-0.25, 0.05)
     """Vignetting v1 and v2 of the lens."""
     flash: tuple[float, float, float] = (1.5, 0.4, 0.0)
-    """Position of the flash from the lens: right and down in the photo as stored, and forward."""
+    """Position of the flash relative to the lens: right and down in the photo as stored, and forward."""
     tilt: float = 12.0
-    """Largest angle between view and vertical."""
+    """Largest angle between viewing direction and vertical."""
     grain: float = 1.0
     """Noise of the photos, as a multiple of a phone's noise in good light. 0: none."""
     jpeg: int = 92
@@ -91,7 +91,7 @@ class HandheldPhone:
         return Sheet(self.sheet).patch if self.sheet else SEEN * self.sample
 
 
-MOST_TRIES = 2000  # poses for a photo, each held higher
+MOST_TRIES = 2000  # poses tried for a photo, at most, each higher than the last
 
 
 @dataclass(frozen=True)
@@ -105,7 +105,7 @@ class Shot:
 
 
 def shots(phone: HandheldPhone, spoil: Sequence[Spoil] = ()) -> list[Shot]:
-    """The photos to take: good ones first, then one for each kind of ``spoil``; names do not tell which."""
+    """The photos to take: good ones first, then one for each kind of ``spoil``; names do not show which."""
     unknown = [kind for kind in spoil if kind not in get_args(Spoil)]
     if unknown or len(set(spoil)) < len(spoil):
         raise ConfigError(f"kinds of {get_args(Spoil)}, each once", ", ".join(unknown or spoil),
@@ -116,7 +116,7 @@ def shots(phone: HandheldPhone, spoil: Sequence[Spoil] = ()) -> list[Shot]:
         name = f"IMG_{len(found) + 1:04d}.{suffix}"
         if kind == "duplicate":
             found.append(replace(found[min(2, phone.photos - 1)], name=name, kind=kind))
-        elif kind == "rotated":  # the phone upright: its flash turns with it, and EXIF says so
+        elif kind == "rotated":  # portrait format: the flash turns with the phone, and EXIF states the turn
             quarter = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
             found.append(Shot(name, Pose(pose.position, quarter @ pose.rotation), kind, 6))
         else:

@@ -1,4 +1,4 @@
-"""Photos of a simulated phone, developed: metered, vignetted, noisy, 8 bits; some are spoiled on purpose."""
+"""Photos of a simulated phone: metered, vignetted, noisy, in 8 bits; some are spoiled on purpose."""
 
 import io
 import math
@@ -43,11 +43,11 @@ def handheld_photos(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...
     """Photos of a material, each taken when the iterator reaches it, and the truth about them.
 
     The maps cover the whole sample. ``renderer`` makes a :class:`mitsvbrdf.synth.traced.HandheldRenderer`.
-    Photos are H x W x 3 display values (sRGB, 8 bits), the last ones spoiled as in ``spoil``. The truth is
-    what ``truth.json`` says: ``rig`` (see :func:`mitsvbrdf.capture.rig.rig_to_json`, of all photos, in cm),
-    ``intensity`` of the flash (a white diffuse texel has the radiance I cos / (pi d^2), d in cm, where
-    radiance 1 is display value 1), ``falloff``, ``transfer``, ``sample_cm``, ``sheet_cm``, ``depth_cm``,
-    ``spoiled`` (kind by name of the photo), and the ``phone``. ConfigError: a wrong option, or no light.
+    Photos are H x W x 3 display values (sRGB, 8 bits), the last ones spoiled as in ``spoil``. The truth has
+    the keys of ``truth.json``: ``rig`` (see :func:`mitsvbrdf.capture.rig.rig_to_json`, of all photos, in cm),
+    ``intensity`` I of the flash (a white diffuse texel has the radiance I cos / (pi d^2), d in cm; radiance 1
+    is display value 1), ``falloff``, ``transfer``, ``sample_cm``, ``sheet_cm``, ``depth_cm``, ``spoiled``
+    (photo name to kind), and ``phone``. ConfigError: a wrong option, or no light.
     """
     phone.check()
     plan, lens = shots(phone, spoil), phone.lens
@@ -77,7 +77,7 @@ def _metered(scene: Any, phone: HandheldPhone, pose: Pose) -> float:
     lens = replace(phone, megapixels=FROM_METER).lens
     radiance = scene.render(lens, pose, intensity=1.0) * _transmission(lens, 0, lens.size[1])
     mean, bright = radiance.mean(), np.quantile(radiance, 1 - MOST_CLIPPED)
-    if not (mean > 0 and radiance.min() >= 0):  # refuses NaN, too
+    if not (mean > 0 and radiance.min() >= 0):  # NaN is invalid, too
         raise ConfigError("light in the first photo", f"radiance {radiance.min():g} to {radiance.max():g}",
                           "check --flash and --vignetting; the material may be black")
     return float(min(BRIGHTNESS / mean, 1 / bright if bright > 0 else math.inf))
@@ -90,11 +90,11 @@ def _transmission(lens: Lens, first: int, count: int) -> NDArray[np.float32]:
 
 
 def spoiled(radiance: NDArray[np.float32], kind: Spoil | None) -> NDArray[np.float32]:
-    """The radiance in a shaken camera, or in one with a finger on its lens; unchanged for other kinds."""
+    """The radiance, blurred as by a shaken camera or with a finger on the lens; else unchanged."""
     import cv2
 
     height, width = radiance.shape[:2]
-    if kind == "blurred":  # a hand that moves: a line of 1.5 % of the photo, beside being out of focus
+    if kind == "blurred":  # motion blur along a line of 1.5 % of the width, and defocus
         length = max(3, round(0.015 * width)) | 1
         along = cv2.getRotationMatrix2D((length // 2, length // 2), 30, 1)
         line = np.zeros((length, length), dtype=np.float32)
@@ -147,11 +147,11 @@ def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...,
                    spoil: Sequence[Spoil] = (),
                    report: Callable[[int, int], object] = lambda done, count: None,
                    **about: object) -> dict[str, Any]:
-    """Write photos of :func:`handheld_photos`, ``truth/truth.json`` and the maps ``truth/sample``.
+    """Write the photos of :func:`handheld_photos`, ``truth/truth.json``, and the maps in ``truth/sample``.
 
-    With a sheet, also write ``truth/maps``, of just the patch within it, as a fit finds them. Without one,
-    the photos alone say where the patch is. ``report`` gets (done, of how many) after each photo; ``about``
-    are more fields of truth.json. The truth is returned.
+    With a sheet, also write the maps of the patch within it, which a fit should find, to ``truth/maps``.
+    Without a sheet, the patch depends on the photos. ``report`` is called with (done, total) after each
+    photo. ``about``: further keys of truth.json. The truth is returned.
     """
     photos, truth = handheld_photos(svbrdf, phone, renderer, spoil)
     for done, (shot, pixels) in enumerate(photos, 1):
@@ -166,7 +166,7 @@ def write_handheld(svbrdf: SVBRDF, phone: HandheldPhone, renderer: Callable[...,
 
 
 def patch_of(sample: SVBRDF, share: float, resolution: int) -> SVBRDF:
-    """The maps of the middle square of a sample, of this share of its side, averaged over each texel."""
+    """Maps of the middle square of a sample, ``share`` of its side wide; each texel is an area average."""
     times = max(1, math.ceil(2 * share * sample.resolution / resolution))
     at = texel_positions(resolution * times)[..., :2] * share * torch.tensor([2.0, -2.0])
 

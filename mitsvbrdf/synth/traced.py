@@ -1,4 +1,4 @@
-"""A phone's photos of a flat material on a table, traced by Mitsuba through the lens itself."""
+"""A phone's photos of a flat material on a table, traced by Mitsuba through the lens model."""
 
 from functools import cache
 from types import ModuleType
@@ -16,13 +16,13 @@ from ..render.needs import material_needs
 from ..render.plugins import INTEGRATOR, register
 
 CAMERA = "lens_camera"
-NEWTON = 8  # steps from a bent to a straight ray; five reach float32's last digit for phones
+NEWTON = 8  # steps that undistort a ray; for phones, five reach float32's precision
 MOST_RAYS = 2**22  # at once: about 1 GB
 TABLE, TABLE_ALBEDO = 200.0, 0.2  # side in cm
-BELOW = 0.3  # the table under the sample, cm
-PICTURE = 3040  # pixels along the sheet's picture, 40 a cell of its tags
+BELOW = 0.3  # distance of the table below the sample, cm
+PICTURE = 3040  # pixels a side of the sheet's picture, 40 for each cell of its tags
 PAPER, INK = 0.8, 0.04  # albedo
-AMBIENT_SAMPLES = 16  # samples a pixel where light comes from everywhere
+AMBIENT_SAMPLES = 16  # samples a pixel if light comes from everywhere
 
 
 class HandheldRenderer:
@@ -44,10 +44,10 @@ class HandheldRenderer:
 
     def render(self, lens: Lens, pose: Pose, intensity: float = 0.0, ambient: float = 0.0,
                seed: int = 0) -> NDArray[np.float32]:
-        """Linear radiance H x W x 3 at the lens, before its vignetting; each pixel the average over its area.
+        """Linear radiance H x W x 3 at the lens, before its vignetting; pixels are area averages.
 
-        Lengths are in cm. Under a flash of this radiant intensity a white diffuse texel has radiance I cos /
-        (pi d^2). Instead of the flash, surroundings may have the radiance ``ambient`` everywhere.
+        Lengths are in cm. Under a flash of radiant ``intensity`` I, a white diffuse texel has radiance I cos
+        / (pi d^2). If ``ambient`` is not 0, surroundings of this radiance replace the flash.
         """
         import drjit as dr
 
@@ -59,7 +59,7 @@ class HandheldRenderer:
             scene, held = self._scene(mi, width, rows, bool(ambient), samples)
             sensor = scene.sensors()[0]
 
-            def opaque(value: float) -> Any:  # a number that is not compiled in
+            def opaque(value: float) -> Any:  # a number that is not compiled into the kernel
                 return dr.opaque(mi.Float, float(value))
 
             sensor.set(lens, pose, opaque)
@@ -70,7 +70,7 @@ class HandheldRenderer:
                 held["flash.intensity.value"] = dr.opaque(mi.Color3f, intensity)
             held.update()
             for block, first in enumerate(range(0, height, rows)):
-                first = min(first, height - rows)  # the last overlaps: all have one size, and so one kernel
+                first = min(first, height - rows)  # the last block overlaps: all share one size and kernel
                 sensor.first = opaque(first)
                 image = scene.integrator().render(scene, sensor, seed=seed * 65536 + block, spp=samples)
                 out[first : first + rows] = np.array(image)
@@ -82,7 +82,7 @@ class HandheldRenderer:
             rgb = {"type": "rgb", "value": 1.0}
             light = ({"ambient": {"type": "constant", "radiance": rgb}} if ambient else
                      {"flash": {"type": "point", "position": [0.0, 0.0, 1.0], "intensity": rgb}})
-            # Rays that a diffuse texel sends out sample constant surroundings without noise.
+            # Sampling the BSDF of a diffuse texel measures constant surroundings without noise.
             integrator = ({"type": "direct", "emitter_samples": 0, "bsdf_samples": 1} if ambient else
                           {"type": INTEGRATOR, "shadow_rays": True, "bounces": 0, "environment": False})
             scene = mi.load_dict({
@@ -150,12 +150,12 @@ def _register(variant: str) -> None:
 
         def __init__(self, props: Any) -> None:
             super().__init__(props)
-            self.first = mi.Float(0)  # row of the photo that the film begins with
+            self.first = mi.Float(0)  # row of the photo in the film's first row
             size = self.film().size()
             self.columns, self.rows = int(size[0]), int(size[1])
 
         def set(self, lens: Lens, pose: Pose, opaque: Any) -> None:
-            """Take a lens and a pose; ``opaque`` makes numbers that are not compiled into the kernel."""
+            """Set lens and pose; ``opaque`` makes numbers that are not compiled into the kernel."""
             self.focal, self.k = opaque(lens.focal), [opaque(k) for k in lens.distortion]
             self.middle = [opaque(x) for x in lens.middle]
             self.origin = mi.Point3f(*(opaque(x) for x in pose.position))

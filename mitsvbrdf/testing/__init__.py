@@ -1,7 +1,7 @@
 """For other people's test suites: renderers that must agree, golden images, and a Z-test for noisy pictures.
 
-A pytest plugin comes along (:mod:`mitsvbrdf.testing.plugin`); ``docs/testing.md`` shows how to use all of it.
-The names below are loaded on first use: a suite without them pays for neither torch nor Mitsuba.
+A pytest plugin is included (:mod:`mitsvbrdf.testing.plugin`); ``docs/testing.md`` shows how to use all of it.
+The names below are loaded on first use: a suite that does not use them loads neither torch nor Mitsuba.
 """
 
 import importlib

@@ -1,4 +1,4 @@
-"""Renderers that must agree: images and gradients against the float64 twin."""
+"""Renderers that must agree: images and gradients against a reference in float64."""
 
 import math
 from collections.abc import Sequence
@@ -23,19 +23,19 @@ def assert_renderers_agree(
         maps: SVBRDF, views: Views, renderers: Sequence[RendererName | Renderer] = ("mitsuba",), *,
         image_mean: float | None = None, image_p999: float | None = None, gradients: float | None = None,
         reference: RendererName | Renderer = "analytic64") -> None:
-    """Fail unless renderers draw the same picture, with the same gradients, as a reference.
+    """Fail unless the images and gradients of renderers agree with those of a reference.
 
     Gradients are those of :func:`mitsvbrdf.measure.gradients.render_and_gradients`.
 
     Args:
-        maps: the material, float32; :func:`random_material` is a hard one.
+        maps: the material, float32; :func:`random_material` makes a hard one.
         renderers: names, or objects with ``name`` and ``render(svbrdf, views)`` like
             :class:`mitsvbrdf.render.Renderer`.
         image_mean: see :class:`Limits`. The default of all three limits is the entry of the renderer in
             :data:`LIMITS`.
         image_p999: see :class:`Limits`.
         gradients: see :class:`Limits`.
-        reference: what to compare with.
+        reference: the renderer to compare with.
 
     Raises:
         AssertionError: they differ. The message names renderer, image or map, figure, limit, and a page that
@@ -92,5 +92,5 @@ def _figures(name: str, found: Measured, truth: Measured, limit: Limits) -> list
 
 
 def _off(gradient: Tensor, truth: Tensor) -> float:
-    """Relative L2 error; 0 where both gradients are 0 everywhere."""
+    """Relative L2 error; 0 if both gradients are 0 everywhere."""
     return gradient_error(gradient, truth)["relative_l2"] if truth.any() or gradient.any() else 0.0

@@ -1,7 +1,7 @@
-"""Golden files: a result accepted once, kept beside the test, and compared with ever after.
+"""Golden files: results accepted once, kept beside the test, and compared with later results.
 
 ``tests/test_a.py`` keeps its golden files in ``tests/golden/test_a/NAME.exr``: float32, ZIP-compressed, one
-EXR file for a picture, a stack of views or all maps of a material (as layers). They are linear.
+EXR file for a picture, a stack of views or all maps of a material (as layers). Values are linear.
 """
 
 import math
@@ -23,29 +23,29 @@ from ..measure.metrics import flip as flip_error
 from . import running
 from .page import Figure, failure, left_behind, row
 
-Layers = dict[str, Tensor]  # H x W x C by name; a lone picture has the name ""
+Layers = dict[str, Tensor]  # layer name to H x W x C; a lone picture has the name ""
 
 
 def assert_matches_golden(result: Tensor | SVBRDF, name: str, *, rtol: float = 1e-4, atol: float = 1e-6,
                           flip: float = 1.0) -> None:
-    """Fail unless a result is what it was when ``pytest --mitsvbrdf-update`` accepted it.
+    """Fail unless a result matches the one that ``pytest --mitsvbrdf-update`` accepted.
 
     With that option a missing golden file is written and one that no longer matches is replaced; one that
     matches stays as it is. Without it no golden file is ever touched.
 
     Args:
         result: a linear picture H x W x 3, views N x H x W x 3, or a material.
-        name: of the golden file, without suffix: letters, digits, ``-``, ``_`` and ``.``, 100 at most. Use
-            each name once in a test file.
-        rtol: a value may be off by ``atol + rtol |golden value|``. The defaults fit float32 renderers on one
-            machine or another; ``math.inf`` leaves the decision to ``flip``.
+        name: name of the golden file, without suffix: letters, digits, ``-``, ``_`` and ``.``, 100 at most.
+            Use each name once in a test file.
+        rtol: a value may be off by ``atol + rtol |golden value|``. The defaults suit float32 renderers on
+            different machines; with ``math.inf``, only ``flip`` decides.
         atol: see ``rtol``; linear units.
-        flip: largest mean FLIP error (:func:`mitsvbrdf.measure.metrics.flip`) of a view or map as a screen
-            shows it.
+        flip: largest mean FLIP error (:func:`mitsvbrdf.measure.metrics.flip`) of a view or map, as
+            displayed.
 
     Raises:
-        AssertionError: it differs, has another shape, is not finite, or there is no golden file; the message
-            names the page, the new EXR file and the way to accept it.
+        AssertionError: the result differs, has another shape, or is not finite; or no golden file exists. The
+            message names the page, the new EXR file and the way to accept it.
         MapsError: a result of another kind, or a golden file that cannot be read.
         ConfigError: a bad name, a call outside a test, or tolerances that are negative, NaN, or no limit.
     """
@@ -95,7 +95,7 @@ def _layers(result: Tensor | SVBRDF) -> Layers:
 
 def _compared(name: str, layers: Layers, golden: Layers, rtol: float, atol: float, flip: float,
               ) -> tuple[str, list[Figure], list[str]]:
-    """What is wrong (empty: nothing), the figures, and more about it."""
+    """The title of the failure (empty: none), the figures, and notes."""
     if not golden:
         return f"{name} has no golden file yet", [], []
     if (new := _shapes(layers)) != (old := _shapes(golden)):

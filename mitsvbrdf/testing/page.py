@@ -1,4 +1,4 @@
-"""What a failed comparison leaves: a message with the numbers, and a page with pictures."""
+"""The output of a failed comparison: a message with the numbers, and a page with pictures."""
 
 import hashlib
 import re
@@ -31,12 +31,12 @@ class Figure(NamedTuple):
 
     @property
     def missed(self) -> bool:
-        """Whether the comparison fails by this figure."""
+        """Whether the value is beyond its limit."""
         return not self.value <= self.limit
 
 
 class Row(NamedTuple):
-    """Pictures that belong together: (caption, ``data:`` URI) each."""
+    """A row of pictures on the page, each a pair of caption and ``data:`` URI."""
 
     title: str
     pictures: list[tuple[str, str]]
@@ -68,7 +68,7 @@ def left_behind(suffix: str, write: Callable[[Path], None]) -> str:
 
 
 def view_rows(new: Tensor, reference: Tensor, whose: str) -> list[Row]:
-    """The views N x H x W x 3 (linear) that differ most, the worst first; ``whose`` is in the title."""
+    """Rows of the views (N x H x W x 3, linear) that differ most, the worst first; ``whose``: their title."""
     error = relative_error(new, reference).abs().amax(dim=-1).flatten(1).mean(1)
     worst = error.nan_to_num(nan=torch.inf).argsort(descending=True)[:VIEWS_SHOWN].tolist()
     return [row(f"{whose}, view {k}" if len(new) > 1 else whose, new[k], reference[k], color.to_display)
@@ -76,7 +76,7 @@ def view_rows(new: Tensor, reference: Tensor, whose: str) -> list[Row]:
 
 
 def row(title: str, new: Tensor, reference: Tensor | None, show: Callable[[Tensor], Tensor]) -> Row:
-    """New and reference (H x W x C, linear; None: only new), and their difference; ``show`` displays them."""
+    """A row: new, reference (H x W x C, linear; None: only new), and difference. ``show`` displays them."""
     given = {"new": new} if reference is None else {"new": new, "reference": reference}
     pictures = [(name, png_uri(at_most(_marked(show(x.float()), x), PICTURE_SIDE)))
                 for name, x in given.items()]
@@ -86,13 +86,13 @@ def row(title: str, new: Tensor, reference: Tensor | None, show: Callable[[Tenso
 
 
 def gradient_row(title: str, new: Tensor, reference: Tensor) -> Row:
-    """Norms over the channels, of both gradients of a map (H x W x C) and of their difference."""
+    """A row: both gradients of a map (H x W x C) and their difference, as norms over the channels."""
     return Row(title, [heat(name, gradient.double().norm(dim=-1)) for name, gradient in (
         ("new", new), ("reference", reference), ("difference", new.double() - reference))])
 
 
 def heat(name: str, size: Tensor) -> tuple[str, str]:
-    """Caption and picture of sizes H x W, log scale of four decades; values not finite are brightest."""
+    """Caption and picture of sizes H x W, log scale of four decades; non-finite values are brightest."""
     high = float(size[torch.isfinite(size)].max()) if torch.isfinite(size).any() else 1.0
     if max(size.shape) > PICTURE_SIDE:  # shrunk so that a single bad pixel stays visible
         size = F.adaptive_max_pool2d(size[None], shrunk(size, PICTURE_SIDE))[0]

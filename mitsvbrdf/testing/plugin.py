@@ -35,7 +35,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Let the assertions know which test calls them."""
+    """Record the running test for the assertions."""
     before, running.now = running.now, replace(item.config.stash[SUITE], test=item.nodeid, file=item.path)
     try:
         return (yield)
@@ -44,7 +44,7 @@ def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
-    """Hand the names of written golden files from a worker of pytest-xdist to the process that prints."""
+    """Send the names of written golden files from a worker of pytest-xdist to the main process."""
     if hasattr(session.config, "workeroutput"):
         session.config.workeroutput["mitsvbrdf"] = [str(path) for path in session.config.stash[SUITE].written]
 

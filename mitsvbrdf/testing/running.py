@@ -6,7 +6,7 @@ from pathlib import Path
 
 @dataclass
 class Running:
-    """A test that runs, and the options of its suite."""
+    """The running test, and the options of its suite."""
 
     test: str = "comparison"  # as pytest names it
     file: Path | None = None  # the file of the test; None outside pytest

@@ -1,1 +1,1 @@
-"""The renderers against float64: ``crosscheck`` of given maps, ``stability`` at the ends of every range."""
+"""Renderers compared with float64: ``crosscheck`` on given maps, ``stability`` at the ends of every range."""

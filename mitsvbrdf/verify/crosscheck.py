@@ -2,7 +2,7 @@
 
 Figures are computed over the texels of roughness 0.1 and more (``rough``), where
 :data:`~mitsvbrdf.measure.tolerances.TOLERANCES` hold, and over the texels below (``smooth``). The limit of
-float32 stands beside errors of images and gradients (:mod:`mitsvbrdf.verify.float32_limits`).
+float32 is listed beside the errors of images and gradients (:mod:`mitsvbrdf.verify.float32_limits`).
 """
 
 import math
@@ -48,8 +48,8 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
         repeats: timed passes of each configuration. The configurations take turns.
         names: of the views; default: 00, 01, ...
         transfer: how display values encode light.
-        error_maps: filled with the relative error of each configuration's worst view, R x R, largest channel,
-            by (material, BSDF, renderer).
+        error_maps: a dict to fill: (material, BSDF, renderer) to the relative error of the worst view, R x R,
+            largest channel.
         command: kept in the record as it is.
 
     Returns:
@@ -70,7 +70,7 @@ def crosscheck(svbrdf_by_name: Mapping[str, SVBRDF], views: Views, bsdfs: Sequen
             if error_maps is not None:
                 error_maps[name, bsdf, renderer.name] = error_map
     turns: list[list] = [[] for _ in jobs]
-    for turn in range(repeats):  # in turns, so that drift of the machine hits all alike
+    for turn in range(repeats):  # in turns, so that drift of the machine affects all alike
         for number, job in enumerate(jobs):
             turns[number].append(attrgetter("forward", "backward")(job()))  # the pictures are not kept
             report("run times", 0.7 + 0.3 * (turn + (number + 1) / len(jobs)) / repeats)
@@ -114,7 +114,7 @@ class _Case:
         shown = (shown - wanted).abs()
         error_map = torch.nan_to_num(off.abs(), nan=torch.inf).amax(dim=-1)
         worst = int(error_map.flatten(1).mean(dim=1).argmax())
-        # as render_and_gradients asks for it: every map wants a gradient
+        # as in render_and_gradients: every map requires a gradient
         needs = scene_needs(self.svbrdf.map(lambda t: t.detach().clone().requires_grad_()), self.views,
                             renderer.name)
         return {"omitted": [{"what": what, "why": reason} for what, reason in needs.omitted],
@@ -125,7 +125,7 @@ class _Case:
                 "worst_view": self.names[worst]}, error_map[worst]
 
     def _figures(self, texels: Tensor, off: Tensor, got: Measured) -> dict | None:
-        """Errors and limits over these texels (R x R, bool), None without any."""
+        """Errors and limits over these texels (R x R, bool); None if there are none."""
         if not texels.any():
             return None
         off = off[:, texels]
@@ -139,7 +139,7 @@ class _Case:
                                         for name, gradient in self.exact.gradients.items()}}}
 
     def _worst_texels(self, image: Tensor, off: Tensor, among: Tensor) -> list[dict]:
-        """The three texels of ``among`` (R x R, bool) furthest off, each in its worst view and channel."""
+        """The three worst texels of ``among`` (R x R, bool), each in its worst view and channel."""
         error = torch.nan_to_num(off.abs(), nan=torch.inf)
         size, channel = torch.where(among[..., None], error, -1.0).max(dim=-1)
         size, view = size.max(dim=0)
@@ -156,12 +156,12 @@ class _Case:
 
 
 def _finite(figures: dict) -> dict:
-    """The figures, with None in place of values that are not finite: JSON cannot hold these."""
+    """The figures, with None for values that are not finite, because JSON does not allow these."""
     return {name: value if math.isfinite(value) else None for name, value in figures.items()}
 
 
 def _gradient_figures(gradient: Tensor, reference: Tensor) -> dict:
-    """:func:`gradient_error`, None where the reference is 0, with the lengths of reference and difference."""
+    """:func:`gradient_error` (None if the reference is 0), and the lengths of reference and difference."""
     difference = (gradient.double() - reference).norm()
     figures = (gradient_error(gradient, reference)
                | {"reference": float(reference.norm()), "difference": float(difference)})
@@ -169,13 +169,13 @@ def _gradient_figures(gradient: Tensor, reference: Tensor) -> dict:
 
 
 def _relative(change: Tensor, gradient: Tensor) -> float | None:
-    """The float32 limit of a gradient's relative L2 error; None where the gradient is 0."""
+    """The float32 limit of a gradient's relative L2 error; None if the gradient is 0."""
     length = float(gradient.norm())
     return UNIT_ROUNDOFF + float(change.norm()) / length if length else None
 
 
 def summary(configurations: Sequence[dict]) -> list[dict]:
-    """The worst figures of each BSDF and renderer, ``rough`` and ``smooth`` apart; median run times."""
+    """Worst figures and median run times of each BSDF and renderer, ``rough`` and ``smooth`` apart."""
     rows = []
     for texels in ("rough", "smooth"):
         groups: dict[tuple[str, str], list[dict]] = {}
@@ -210,7 +210,7 @@ def _summary_row(group: list[dict], texels: str) -> dict:
 
 
 def omitted(record: dict) -> list[dict]:
-    """What was omitted and why, once each; ``by`` names renderers, and BSDFs if not all omit it."""
+    """What was omitted and why, each once. ``by``: the renderers, and the BSDFs unless all omit it."""
     found: dict[tuple[str, str], list[dict]] = {}
     for configuration in record["configurations"]:
         for each in configuration["omitted"]:
@@ -226,7 +226,7 @@ def omitted(record: dict) -> list[dict]:
 
 
 def violations(record: dict) -> list[dict]:
-    """What exceeds the stated tolerances; ``limit`` is what float32 allows there, None where unknown."""
+    """Figures above the stated tolerances. ``limit``: float32's own error there; None if unknown."""
     return [{name: configuration[name] for name in ("material", "bsdf", "renderer")} | each
             for configuration in record["configurations"] for each in _exceeded(configuration)]
 

@@ -1,19 +1,19 @@
 """How accurate float32 can be at a texel.
 
-Float32 holds a direction to about one rounding, u = 2^-24 rad: a normal stored as (n + 1) / 2 is rounded by
+Float32 stores a direction to about one rounding, u = 2^-24 rad: a normal stored as (n + 1) / 2 is rounded by
 up to 2^-25 a component, and this error doubles when it is read. A normal turned by u changes a rendered
 value L by u |dL/dn| at most, with dL/dn in the tangent plane. The float64 twin gives both components: all
 normals are turned by u about two perpendicular axes. u is large for float64 and small beside the width of any
-lobe, so the second order does not count. The limit of the relative error is
+lobe, so second-order terms do not matter. The limit of the relative error is
 
     u + u |dL/dn| / |L|
 
 with the first u for the rounding of L itself. Near a mirror direction L behaves like GGX's D. The slope
-|d log D / d angle| is 2 (1 - alpha^2) / alpha at its steepest, about alpha beside the highlight. The limit is
-u + 2 u / alpha there, 1.2e-5 at roughness 0.1, and 6e-8 where the material is rough. The same changes of a
-gradient give its limit. It is an order of magnitude, no bound: directions of view and light are rounded too
+|d log D / d angle| is at most 2 (1 - alpha^2) / alpha, at about alpha from the highlight. The limit is
+u + 2 u / alpha there, 1.2e-5 at roughness 0.1, and 6e-8 on rough materials. The same changes of a gradient
+give its limit. The limit is an order of magnitude, no bound: directions of view and light are rounded too
 (measured on the made and corner materials in co-located views: 8 times the limit at most), and a renderer
-with directions in float64, or with their differences, stays below it.
+that computes directions in float64, or their differences, stays below it.
 """
 
 from typing import NamedTuple
@@ -30,17 +30,17 @@ from ..views import Views
 
 
 class Limit(NamedTuple):
-    """By how much one rounding of the normals changes what the float64 twin computes; not negative."""
+    """Size of the change of the float64 twin's results if every normal is rounded once."""
 
     image: Tensor  # N x R x R x 3
-    gradients: dict[str, Tensor]  # by map name, each of the map's shape
+    gradients: dict[str, Tensor]  # map name to a tensor of the map's shape
 
 
 def float32_limit(twin: Renderer, svbrdf: SVBRDF, views: Views, exact: Measured,
                   cotangent: Tensor | None = None) -> Limit:
     """The changes that one float32 rounding of every normal makes; see the module's text.
 
-    ``exact`` is what ``analytic64`` finds with the normals as they are and this cotangent.
+    ``exact``: results of ``analytic64`` with the original normals and this cotangent.
     """
     turned = [render_and_gradients(twin, m, views, cotangent) for m in turned_normals(svbrdf, UNIT_ROUNDOFF)]
     return Limit(_length([t.image - exact.image for t in turned]),
@@ -49,9 +49,9 @@ def float32_limit(twin: Renderer, svbrdf: SVBRDF, views: Views, exact: Measured,
 
 
 def turned_normals(svbrdf: SVBRDF, angle: float) -> tuple[SVBRDF, SVBRDF]:
-    """The material in float64, every normal turned by a small angle (rad) about two perpendicular axes."""
+    """Two float64 copies of the material; normals are turned by ``angle`` (rad) about perpendicular axes."""
     maps = svbrdf.to(torch.float64).maps
-    normal = maps["normal"]  # its length is kept: a gradient depends on that, too
+    normal = maps["normal"]  # its length is kept: a gradient depends on the length, too
     x = torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64).expand_as(normal)
     first = F.normalize(torch.linalg.cross(normal, x), dim=-1)  # z > 0, so a normal is never along x
     second = F.normalize(torch.linalg.cross(normal, first), dim=-1)

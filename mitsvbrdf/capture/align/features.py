@@ -1,4 +1,4 @@
-"""What photos of a flat material share: SIFT features, and homographies that most of these agree with.
+"""SIFT features of photos of a flat material, matched, and the homographies that most matches agree with.
 
 Source: SIFT by Lowe 1999, 2004; RootSIFT by Arandjelovic and Zisserman 2012; MAGSAC++ by Barath et al. 2020.
 """
@@ -20,15 +20,15 @@ from .planar import Match
 
 FEATURE_SIDE = 2048  # photos are searched for features at no more than this many pixels a side
 MOST_FEATURES = 8000
-FEW_FEATURES = 3000  # the strongest, compared first: time grows with the square of their number
-# weakest feature; with OpenCV's 0.04, flash photos of wood were warped 50 pixels wrong or rejected
+FEW_FEATURES = 3000  # the strongest ones, compared first, as time grows with the square of their number
+# of the weakest feature; with OpenCV's 0.04, flash photos of wood were placed 50 pixels wrong or rejected
 CONTRAST = 0.01
 RATIO = 0.8  # a match counts when its distance is below this share of the second best's (Lowe 2004)
 REPROJECTION = 3.0  # a match with a larger error is an outlier; in pixels of the feature search
-OTHER_PLACE = 12.0  # distance in pixels from which a feature of the same photo counts as another
-MOST_AGAIN = 8  # photos that an unconnected photo is compared with again, by all features
+OTHER_PLACE = 12.0  # features of one photo count as different from this distance on, in pixels
+MOST_AGAIN = 8  # an unconnected photo is compared again with at most this many, by all features
 SIGMA = 0.5  # standard deviation of a match, in pixels of the feature search
-LEAST_INLIERS = 15  # any four matches agree with a homography; chance agreements were seen to reach 10
+LEAST_INLIERS = 15  # four matches always agree with a homography; up to 10 were seen to agree by chance
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Features:
 
 
 def find_features(photo: Photo, mirror: bool = False) -> Features:
-    """Features of a photo, or of its mirror image, from its mean over colours."""
+    """Features of a photo or of its mirror image, found in the mean of red, green and blue."""
     pixels = photo.pixels(FEATURE_SIDE)
     grey = pixels.astype(np.float32).mean(axis=2) * (255 / np.iinfo(pixels.dtype).max)
     image = np.rint(grey[:, ::-1] if mirror else grey).astype(np.uint8)
@@ -62,8 +62,8 @@ def find_features(photo: Photo, mirror: bool = False) -> Features:
 
 
 def match(a: Features, b: Features, most: int = MOST_FEATURES) -> NDArray[np.intp]:
-    """Pairs (M x 2: index in a, in b) of features that are each other's nearest, clearly nearer than the
-    second best, among the ``most`` strongest features of each photo.
+    """Matches (M x 2: index in a, index in b) among the ``most`` strongest features of each photo: pairs that
+    are each other's nearest, and clearly nearer than the second best (:data:`RATIO`).
     """
     if min(len(a), len(b)) < 2:
         return np.zeros((0, 2), dtype=np.intp)
@@ -80,7 +80,7 @@ def match(a: Features, b: Features, most: int = MOST_FEATURES) -> NDArray[np.int
 
 
 def repeats(features: Features) -> float:
-    """The share of a photo's pairs of nearest features that agree with one homography.
+    """How much a pattern repeats: the share of a photo's most similar features that fit one homography.
 
     Patterns that repeat exactly have 0.26 to 0.33; tiles, inlays and bricks that vary have at most 0.05.
     """
@@ -97,9 +97,9 @@ def repeats(features: Features) -> float:
 
 
 def homography(source: Array, aim: Array, pixel: float) -> tuple[Array | None, NDArray[np.bool_]]:
-    """The homography (3 x 3) that most pairs of pixels (K x 2) agree with, and which do; None: too few do.
+    """The homography (3 x 3) that most pairs of pixels agree with, None if too few do; and which do (K).
 
-    The threshold is in pixels of the feature search; ``pixel`` is the side of one of these, in pixels.
+    ``pixel``: side of a pixel of the feature search, in the pixels of ``source`` and ``aim`` (K x 2 each).
     """
     if len(source) < LEAST_INLIERS:
         return None, np.zeros(len(source), dtype=bool)
@@ -113,7 +113,7 @@ def homography(source: Array, aim: Array, pixel: float) -> tuple[Array | None, N
 
 
 def mapped(warp: Array, points: Array) -> Array:
-    """Points (... x 2) under a homography."""
+    """Points (... x 2), mapped by a homography."""
     x = points @ warp[:, :2].T + warp[:, 2]
     return x[..., :2] / x[..., 2:]
 
@@ -145,10 +145,10 @@ def spread(points: Array, size: tuple[int, int], most: int) -> NDArray[np.intp]:
 class Pair:
     """What two photos have in common."""
 
-    matches: Match  # features that are alike, right or wrong
-    agree: NDArray[np.bool_]  # which of them agree with warp, K
-    warp: Array | None  # homography from pixels of a to pixels of b; None where none can be trusted
-    wild: bool = False  # whether the homography found is one that no camera could have made
+    matches: Match  # all matches of features, right or wrong
+    agree: NDArray[np.bool_]  # whether each match agrees with the homography, K
+    warp: Array | None  # homography from pixels of a to pixels of b; None: none can be trusted
+    wild: bool = False  # whether no camera could have made the homography that was found
 
     @property
     def names(self) -> tuple[str, str]:
@@ -163,7 +163,7 @@ class Pair:
 
 def find_pairs(features: dict[str, Features], size: tuple[int, int],
                report: Callable[[float], object]) -> list[Pair]:
-    """Each pair of photos, by the strongest features; by all features for photos that stay unconnected."""
+    """Match all pairs of photos by the strongest features, then unconnected photos again by all features."""
     both = list(combinations(features, 2))
     # so few that all pairs together take at most the time of 100 pairs
     few = int(np.clip(FEW_FEATURES * math.sqrt(100 / len(both)), 500, FEW_FEATURES))
@@ -191,10 +191,10 @@ def _pair(features: dict[str, Features], a: str, b: str, size: tuple[int, int], 
 
 
 def chained_pairs(names: Collection[str], pairs: list[Pair]) -> tuple[str, dict[str, Array]]:
-    """The hub, which has most in common with other photos, and homographies from it to all connected ones.
+    """The hub (the photo with most agreeing matches), and a dict: photo to the homography from the hub to it.
 
-    The maximum spanning tree over the number of agreeing matches (Prim 1957), in the largest group of
-    connected photos.
+    The homographies follow the maximum spanning tree over the number of agreeing matches (Prim 1957), in the
+    largest group of connected photos.
     """
     links: dict[str, dict[str, tuple[int, Any]]] = {name: {} for name in names}
     for pair in pairs:

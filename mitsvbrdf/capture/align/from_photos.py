@@ -1,8 +1,8 @@
 """Lens and poses of raw photos of a flat material, from the features that the photos share.
 
-Features agree with one homography between each pair of photos that overlap. A tree of the best homographies
-places every photo, and bundle adjustment finds lens and poses (:mod:`.planar`). Photos that cannot be used
-are named with the reason.
+In two photos that overlap, features agree with one homography. A tree of the best homographies connects all
+photos, and bundle adjustment finds lens and poses (:mod:`.planar`). Photos that cannot be used are listed
+with the reason.
 
 Source: the paper, III.C, for aligned photos. Each step names its own source.
 """
@@ -37,14 +37,14 @@ from .features import (
 from .patch import CENTRED, centred_square, choose_patch, framed, outline, turned, upright
 from .planar import Match, adjust, starts
 
-# deviation of a focal length from EXIF, which rounds its 35 mm equivalent to whole millimetres
+# standard deviation, as a share, of the focal length in EXIF: its 35 mm equivalent is in whole millimetres
 FOCAL_SHARE = 0.02
-FOCAL_SHARE_ASSUMED = 0.15  # and of the focal length that FIELD_OF_VIEW gives
-REPEATING = 0.15  # :func:`repeats` above which the pattern counts as repeating itself
-# deviation of the focal length found, as a share, that is worth a note: hardly below EXIF's own
+FOCAL_SHARE_ASSUMED = 0.15  # the same, if FIELD_OF_VIEW gives the focal length
+REPEATING = 0.15  # a pattern counts as repeating if :func:`repeats` is larger
+# standard deviation, as a share, of the fitted focal length that is worth a note: just below EXIF's
 UNSURE = 0.018
 MOST_MATCHES = 4000  # in a bundle adjustment
-CHAINED = 10 * REPROJECTION  # error under the tree of homographies beyond which a pair is left out at first
+CHAINED = 10 * REPROJECTION  # a pair with a larger error under the tree of homographies is omitted at first
 AGREEING = 0.4  # share of a photo's matches with others that must agree with its pose
 NEEDED = ("that show the same part of a flat material",
           "take nine from somewhat different places, sharp, with much overlap; where a material has no marks "
@@ -55,17 +55,17 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
                     report: Report = lambda text, share: None) -> Rig:
     """Lens and poses of overlapping photos of a flat material.
 
-    World: the material in z = 0; the patch, of side 1, is the largest square that all photos show, upright as
-    the reference photo is shown. Lengths are as exact as the focal length, which EXIF gives to some 2 %.
+    World: the material is at z = 0. The patch has side 1: 0.95 of the largest square that all photos show,
+    upright in the reference photo. Lengths are as exact as the focal length: to about 2 % with EXIF.
 
     Args:
         photos: three or more, of one size.
-        reference: ``best``, the photo taken most nearly from straight above; or ``first``, the first by name
-            that is used.
+        reference: ``best`` (the photo taken most nearly from straight above) or ``first`` (the first used
+            photo by name).
 
     Raises:
         CaptureError: fewer than three photos can be used together, with the reasons.
-        OnePlace: all photos are from one place.
+        OnePlace: most photos are from one place.
     """
     if len(photos) >= LEAST_PHOTOS and in_place(photos):
         raise one_place(len(photos))
@@ -118,7 +118,7 @@ def rig_from_photos(photos: Sequence[Photo], reference: Literal["best", "first"]
 
 
 def _of_another_lens(photos: dict[str, Photo]) -> dict[str, str]:
-    """Photos whose focal length is not that of most, with the reason."""
+    """A dict: name to reason, for photos whose focal length is not that of most."""
     stated = {name: p.exif["35 mm focal length"] for name, p in photos.items()
               if "35 mm focal length" in p.exif}
     usual = Counter(stated.values()).most_common(1)
@@ -128,7 +128,7 @@ def _of_another_lens(photos: dict[str, Photo]) -> dict[str, str]:
 
 def _posed(lens: Lens, focal_share: float, hub: str, warps: dict[str, Array], pairs: list[Pair],
            rejected: dict[str, str]) -> tuple[Lens, dict[str, Pose], list[Match], float]:
-    """Lens, poses, the matches that agree with them, and how far the focal length may be off, as a share.
+    """Lens, poses, the matches that agree with them, and the focal length's standard deviation, as a share.
 
     Photos that do not agree are added to ``rejected``.
     """
@@ -169,14 +169,14 @@ def _agreeing(name: str, pairs: list[Pair], matches: list[Match]) -> float:
 
 
 def _limited(matches: list[Match], size: tuple[int, int], most: int = MOST_MATCHES) -> list[Match]:
-    """Matches as evenly spread over pairs and photos as can be."""
+    """About ``most`` matches, spread evenly over the pairs and over each photo."""
     matches = [m for m in matches if len(m.at_a)]
     each = max(20, most // len(matches))
     return [m.pick(spread(m.at_a, size, each)) for m in matches]
 
 
 def _errors(lens: Lens, poses: dict[str, Pose], matches: list[Match]) -> dict[str, float]:
-    """RMS distance in pixels, by photo, of its features to those that other photos project into it."""
+    """A dict: photo to the RMS distance (pixels) of its features from those of others projected into it."""
     squares: dict[str, list[Array]] = {name: [] for name in poses}
     for m in matches:
         squares[m.b].append(m.errors(lens, poses) ** 2)
@@ -186,7 +186,7 @@ def _errors(lens: Lens, poses: dict[str, Pose], matches: list[Match]) -> dict[st
 
 def _placed(lens: Lens, poses: dict[str, Pose], photos: dict[str, Photo],
             reference: str) -> tuple[dict[str, Pose], list[str]]:
-    """Poses in the frame of the patch, and the photos that are rejected for it."""
+    """Poses in the frame of the patch, and names of the photos rejected to make the patch larger."""
     angles = {name: upright(pose, photos[name].orientation) for name, pose in poses.items()}
     # the photo most nearly from straight above, among those that were held upright like most
     like = {a: sum(math.cos(angles[a] - angles[b]) > 0.7 for b in poses) for a in poses}
@@ -200,7 +200,7 @@ def _placed(lens: Lens, poses: dict[str, Pose], photos: dict[str, Photo],
         raise CaptureError("photos that all show the same part of a material",
                            f"no part that {len(poses) - len(dropped)} show", "take them with more overlap")
     kept = {name: poses[name] for name in sorted(poses) if name not in dropped}
-    # Highlights lie below the cameras. The largest square may be far off, and others hardly smaller.
+    # Highlights are below the cameras. The largest square may be far away; one hardly smaller is closer.
     side *= CENTRED
     centre = centred_square([outlines[name] for name in kept], side,
                             np.mean([p.position[:2] for p in kept.values()], axis=0))

@@ -1,8 +1,8 @@
-"""Lens and poses from photos of the printed sheet, by the tags that each photo shows.
+"""Lens and poses of photos of the printed sheet, from the tags in each photo.
 
 Bundle adjustment (Triggs et al. 2000) finds one lens (focal length, principal point, k1, k2) and a pose of
-each photo: the least-squares fit to all points measured on edges of tags, a planar target as in Zhang (2000),
-with weak priors on the lens.
+each photo: the least-squares fit to all points measured on edges of tags, with weak priors on the lens. The
+sheet is a planar target as in Zhang (2000).
 """
 
 import contextlib
@@ -27,29 +27,29 @@ from .tag_edges import POINTS, Edges, find_edges
 from .tag_search import LEAST_TAGS
 
 # Standard deviations of the priors. EXIF's focal length is rounded to a millimetre, and refers to the
-# diagonal or to the long side. Without EXIF, the lens is anything from wide to tele. CENTRE_SD, of the
-# principal point, is a share of the long side.
+# diagonal or to the long side. Without EXIF, the lens may be wide or tele. CENTRE_SD is for the
+# principal point, as a share of the long side.
 FOCAL_SHARE, FOCAL_SHARE_UNKNOWN, CENTRE_SD, DISTORTION_SD = 0.05, 0.4, 0.005, 0.1
-FOCAL_SHARE_STILL = 1e-4  # for photos from one place, which cannot tell the focal length from the distance
+FOCAL_SHARE_STILL = 1e-4  # for photos from one place: focal length and distance cannot be separated
 NOISE = 2e-5  # error of points on edges in good photos, as a share of the long side: 0.08 pixels of 4000
-# a photo is rejected beyond both errors: a share of the long side, and times the median of all photos
+# a photo is rejected if its error exceeds both: a share of the long side, a multiple of the median error
 LARGE, TIMES_MEDIAN = 5e-4, 6.0
-STILL, SLANTED = 0.1, 0.05  # shift of tags, as a share of their side; sine of tilt. Rectified: below both
-UNSURE = 0.01  # deviation of the focal length, as a share, that is worth a note
+STILL, SLANTED = 0.1, 0.05  # of rectified photos, at most: shift of tags (share of their side), sine of tilt
+UNSURE = 0.01  # standard deviation of the focal length, as a share, that is worth a note
 
-LENS = Layout(log_focal=(), centre=(2,), distortion=(2,))  # unknowns of the lens: what is added to the start
+LENS = Layout(log_focal=(), centre=(2,), distortion=(2,))  # unknowns of the lens: differences from the start
 
 
 def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.0,
                    report: Report = lambda text, share: None) -> Rig:
-    """Lens and poses in cm from photos of the sheet; the patch is the middle 0.64 of its frame, in z = 0.
+    """Lens and poses in cm from photos of the sheet. The patch is the middle 0.64 of its frame, at z = 0.
 
-    For photos rectified to the sheet, the source is ``none``. One photo at a time is in memory. ``size_cm``
-    is that of the printed frame of tags, outer edge to outer edge; it lies ``depth_cm`` above the material.
+    ``size_cm``: printed size of the frame of tags, outer edge to outer edge. The sheet is ``depth_cm`` above
+    the material. One photo at a time is in memory. For photos rectified to the sheet, the source is ``none``.
 
     Raises:
         CaptureError: fewer than three photos show the sheet.
-        OnePlace: all photos show it in the same place, slanted.
+        OnePlace: all photos show the sheet in the same place, and slanted.
     """
     sheet, seen, rejected, tags = Sheet(size_cm), dict[str, Edges](), dict[str, str](), dict[str, int]()
     for i, photo in enumerate(photos):
@@ -97,7 +97,7 @@ def rig_from_sheet(photos: Sequence[Photo], size_cm: float, depth_cm: float = 0.
 
 def refuse_tags(photos: Sequence[Photo],
                 how: str = "give that, for example `mitsvbrdf capture PHOTOS -o CAPTURE --sheet 18`") -> None:
-    """Refuse photos of a sheet of unknown size: tags would pass for material. ``how``: the way to give it."""
+    """Raise CaptureError if a photo shows a sheet: its size is needed. ``how``: how to give the size."""
     for photo in photos:
         count = 0
         with contextlib.suppress(Unreadable):  # the photo may not be needed
@@ -119,7 +119,7 @@ def _still(seen: dict[str, Edges]) -> bool:
 
 
 def _too_few(edges: Edges, sheet: Sheet) -> str | None:
-    """Why these tags do not tell a pose, or None."""
+    """Why these tags do not determine a pose; None: they do."""
     count = len(edges.corners)
     if count < LEAST_TAGS:
         return edges.fault or f"{count or 'none'} of 16 tags seen, {LEAST_TAGS} needed"
@@ -142,7 +142,7 @@ def _first_pose(lens: Lens, edges: Edges, sheet: Sheet, depth: float) -> Pose:
 
 def _bundle(lens: Lens, focal_share: float, sheet: Sheet, depth: float, seen: dict[str, Edges]
             ) -> tuple[Lens, dict[str, Pose], dict[str, float], dict[str, float], float]:
-    """The lens, poses, RMS errors (pixels), deviations of positions (cm), and of the focal length (share)."""
+    """Lens, poses, RMS errors (pixels), standard deviations of positions (cm) and focal length (share)."""
     problem = _Bundle(lens, focal_share, sheet, depth, seen)
     found = least_squares(problem.residuals, np.zeros(problem.layout.size), problem.slopes, loss="soft_l1",
                           f_scale=3.0, x_scale="jac")
@@ -167,10 +167,10 @@ def _bundle(lens: Lens, focal_share: float, sheet: Sheet, depth: float, seen: di
 class _Bundle:
     """The least-squares problem of all photos: the prior of the lens, then each photo's points.
 
-    Residuals by ``equations``: ``prior``, five for the lens; ``points``, one for each point, those of a photo
-    at ``rows``. Unknowns by ``layout``: ``lens``, by :data:`LENS`, in standard deviations of the prior;
-    ``poses``, by :data:`~.planar.POSE`: for each photo a rotation that follows that of the start, and a shift
-    as a share of the distance, both unscaled.
+    ``equations`` is the layout of residuals: ``prior``, five for the lens; ``points``, one for each point.
+    ``rows`` has the slice of each photo. ``layout`` is that of unknowns: ``lens``, as :data:`LENS` but in
+    standard deviations of the prior; ``poses``, each as :data:`~.planar.POSE`: a rotation (rad) applied after
+    that of the start, and a shift as a share of the distance.
     """
 
     def __init__(self, lens: Lens, focal_share: float, sheet: Sheet, depth: float,
@@ -189,14 +189,14 @@ class _Bundle:
         self.rows = {name: slice(*ends[i : i + 2]) for i, name in enumerate(seen)}
 
     def lens_of(self, x: Array) -> Lens:
-        """The lens by its unknowns, the first of ``x``."""
+        """The lens for all unknowns ``x``."""
         moved, middle = LENS.unpack(x[self.layout["lens"]] * self.spread), self.lens.middle
         (u, v), distortion = moved.centre.tolist(), tuple(moved.distortion.tolist())
         return replace(self.lens, focal=self.lens.focal * math.exp(moved.log_focal),
                        centre=(middle[0] + u, middle[1] + v), distortion=distortion)
 
     def pose(self, name: str, own: Array) -> Pose:
-        """The pose of a photo by its six unknowns."""
+        """The pose of a photo for its six unknowns."""
         first, moved = self.firsts[name], POSE.unpack(own)
         return Pose(first.position + moved.position * np.linalg.norm(first.position),
                     cv2.Rodrigues(moved.rotation)[0] @ first.rotation)
@@ -207,11 +207,11 @@ class _Bundle:
         return np.nan_to_num((off * self.seen[name].across).sum(axis=1) / self.noise, nan=1e6)
 
     def residuals(self, x: Array) -> Array:
-        """All residuals, in standard deviations, by ``equations``."""
+        """All residuals, in standard deviations, in the layout ``equations``."""
         return np.concatenate([x[self.layout["lens"]], *(self._of_photo(name, x) for name in self.seen)])
 
     def slopes(self, x: Array) -> Array:
-        """Derivatives by central differences; residuals of a photo depend on the lens and its own pose."""
+        """The Jacobian by central differences; a photo's residuals depend on the lens and its own pose."""
         out, numbers = np.zeros((self.equations.size, len(x))), self.layout.numbers
         out[self.equations["prior"], self.layout["lens"]] = np.eye(LENS.size)
         for name, own in zip(self.seen, numbers.poses):

@@ -1,4 +1,4 @@
-"""The patch that all photos show: the largest upright square of the plane, and the world around it."""
+"""The patch: an upright square of the plane that all photos show, as large as possible; and its frame."""
 
 from collections.abc import Sequence
 
@@ -7,11 +7,11 @@ from scipy.optimize import linprog
 
 from ..lens import Array, Lens, Pose, on_plane
 
-PHOTO_MARGIN = 0.01  # distance that the patch keeps from a photo's border, as a share of its sides
-CENTRED = 0.95  # side of the patch over that of the largest square: it can then lie below the cameras
-GAIN = 1.25  # a photo without which the patch's side would grow by more than this factor is rejected
+PHOTO_MARGIN = 0.01  # least distance of the patch from a photo's border, as a share of the photo's sides
+CENTRED = 0.95  # side of the patch over that of the largest square; smaller, to fit below the cameras
+GAIN = 1.25  # a photo is rejected if the patch's side grows by at least this factor without it
 
-# Direction, in the stored pixels, to the top of a photo as shown, by EXIF orientation.
+# EXIF orientation: direction, in the stored pixels, to the top of the photo as shown.
 TOP = {1: (0, -1), 2: (0, -1), 3: (0, 1), 4: (0, 1), 5: (-1, 0), 6: (-1, 0), 7: (1, 0), 8: (1, 0)}
 
 
@@ -34,14 +34,14 @@ def framed(poses: dict[str, Pose], centre: Array, side: float) -> dict[str, Pose
 
 
 def outline(lens: Lens, pose: Pose) -> Array:
-    """Half planes n . (x, y) <= b, one a side: 4 x 3, rows (n, b). The photo shows their overlap."""
+    """Half planes n . (x, y) <= b, a row (n, b) per side of a photo: 4 x 3. It shows their overlap."""
     size = np.array(lens.size)
     low, high = PHOTO_MARGIN * size - 0.5, (1 - PHOTO_MARGIN) * size - 0.5
     corners = np.array([low, (high[0], low[1]), high, (low[0], high[1])])
     middle = on_plane(lens, pose, (low + high)[None] / 2)[0]
     rows = []
     for a, b in zip(corners, np.roll(corners, -1, axis=0)):
-        # a side is bent by distortion
+        # distortion bends the side
         points = on_plane(lens, pose, a + np.linspace(0, 1, 9)[:, None] * (b - a))
         edge = points[-1] - points[0]
         normal = np.array([edge[1], -edge[0]]) / np.linalg.norm(edge)
@@ -53,7 +53,7 @@ def outline(lens: Lens, pose: Pose) -> Array:
 def largest_square(outlines: Sequence[Array]) -> float:
     """Side of the largest upright square in all outlines; below 0: there is none.
 
-    A linear programme: the largest h. A square lies in n . x <= b where n . centre + h (|n_x| + |n_y|) <= b.
+    A linear programme: the largest h. A square is in n . x <= b if n . centre + h (|n_x| + |n_y|) <= b.
     """
     sides = np.concatenate(outlines)
     reach = np.abs(sides[:, :2]).sum(axis=1)
@@ -62,8 +62,8 @@ def largest_square(outlines: Sequence[Array]) -> float:
 
 
 def centred_square(outlines: Sequence[Array], side: float, below: Array) -> Array:
-    """Centre (x, y) of the upright square of this side in all outlines that is nearest to ``below``."""
-    # unknown: the centre, and |centre - below|
+    """Centre (x, y), nearest to ``below``, of an upright square of this side within all outlines."""
+    # unknowns: the centre, and |centre - below| in x and in y
     sides = np.concatenate(outlines)
     left = sides[:, 2] - side / 2 * np.abs(sides[:, :2]).sum(axis=1)
     away = np.array([[1, 0, -1, 0], [-1, 0, -1, 0], [0, 1, 0, -1], [0, -1, 0, -1.0]])
@@ -76,8 +76,8 @@ def choose_patch(outlines: dict[str, Array], least: int = 3,
                  always: str | None = None) -> tuple[float, list[str]]:
     """Side of the largest square that all photos show, and names of photos rejected to make it larger.
 
-    No photo is rejected once ``least`` are left, and never ``always``. A side of 0 or below: too few photos
-    show the same part.
+    No photo is rejected if only ``least`` are left; the photo ``always`` is never rejected. A side of 0 or
+    below: too few photos show the same part.
     """
     kept = dict(outlines)
     out: list[str] = []

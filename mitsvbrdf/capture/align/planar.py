@@ -1,8 +1,8 @@
-"""Where cameras stood over an unknown plane: a start from homographies, and bundle adjustment.
+"""Poses of cameras over an unknown plane: a start from homographies, then bundle adjustment.
 
 A pixel of one photo is projected onto the plane, and from there into another photo. So points of the plane
 are no unknowns. The unknowns are the lens (focal length, distortion) and a pose of each photo. One photo, the
-hub, sets the frame: it is above the origin at height 1, and the world's x axis runs along its own x axis.
+hub, sets the frame: it is above the origin at height 1, and the world's x axis points along the hub's.
 
 Source: Triggs 1998, Autocalibration from Planar Scenes; Zhang 2000; Triggs et al. 2000, bundle adjustment.
 """
@@ -21,17 +21,17 @@ from scipy.spatial.transform import Rotation
 from ...io.layout import Layout
 from ..lens import Array, Lens, Pose, rays
 
-# Standard deviations of the priors. They decide where photos do not: in nearly parallel photos, a tilt of all
+# Standard deviations of the priors. They decide what photos do not: in nearly parallel photos, a tilt of all
 # cameras looks like a shift, and a focal length like a height.
 TILT_SD = 0.17  # of a camera's axis from straight down, rad
 HEIGHT_SD = 0.15  # of a camera's height from the others', as a share
 DISTORTION_SD = (0.03, 0.01)  # k1, k2: phones correct their lens
-SOFT = 1.0  # standard deviations from which an error counts linearly
+SOFT = 1.0  # larger errors, in standard deviations, count linearly
 MOST_STARTS = 3  # tilts of the hub from which the bundle adjustment starts
-# so many matches count as one for uncertainties: errors by relief, highlights and lens are alike nearby
+# this many matches count as one for uncertainties: errors of relief, highlights and lens are correlated
 ALIKE = 10
 
-# unknowns of a photo: a rotation vector that follows the start's rotation; x, y, z
+# unknowns of a photo: a rotation vector, applied after the start's rotation; x, y, z
 POSE = Layout(rotation=(3,), position=(3,))
 
 
@@ -43,20 +43,20 @@ class Match:
     b: str  # name of another
     at_a: Array  # K x 2, pixels of a
     at_b: Array  # K x 2, pixels of b
-    sigma: float  # deviation of an error, in pixels
+    sigma: float  # standard deviation of an error, in pixels
 
     def pick(self, index: Any) -> Match:
         """The matches with these indices."""
         return replace(self, at_a=self.at_a[index], at_b=self.at_b[index])
 
     def errors(self, lens: Lens, poses: dict[str, Pose]) -> Array:
-        """Distances in pixels of the points in ``b`` from the points in ``a`` projected into ``b``, K."""
+        """K distances in pixels of ``b``, from points of ``a`` projected into ``b`` to points of ``b``."""
         seen = rays(lens, self.at_a)
         return np.linalg.norm(self.at_b - carried(lens, poses[self.a], poses[self.b], seen), axis=1)
 
 
 def carried(lens: Lens, a: Pose, b: Pose, directions: Array) -> Array:
-    """Pixels in photo b of the points where rays (K x 3) of photo a meet the plane; or K photos each."""
+    """Pixels in b of the points where rays (K x 3) of a meet the plane; a and b are one pose or K poses."""
     down = np.einsum("...ji,...j->...i", a.rotation, directions)
     point = a.position - down * (a.position[..., 2:] / down[..., 2:])
     seen = np.einsum("...ij,...j->...i", b.rotation, point - b.position)
@@ -68,9 +68,9 @@ def carried(lens: Lens, a: Pose, b: Pose, directions: Array) -> Array:
 def starts(lens: Lens, homographies: dict[str, Array]) -> list[dict[str, Pose]]:
     """Poses that agree with homographies, for the likeliest tilts of the hub; the best first.
 
-    Homographies lead from pixels of the hub to pixels of each photo; that of the hub is the identity. For a
-    tilt of the hub, each gives the two axes of the plane in the other camera. Under the right tilt these are
-    of one length and at a right angle. Two tilts may do so, and with parallel photos many do.
+    A homography maps pixels of the hub to pixels of a photo; that of the hub is the identity. Given a tilt of
+    the hub, it defines two axes of the plane in the photo's camera. With the right tilt, these have the same
+    length and are at a right angle. Two tilts may satisfy this; with parallel photos, many do.
     """
     inverse = np.linalg.inv(lens.matrix)
     maps = np.stack([inverse @ h @ lens.matrix for h in homographies.values()])
@@ -93,7 +93,7 @@ def starts(lens: Lens, homographies: dict[str, Array]) -> list[dict[str, Pose]]:
 
 
 def _pose(axes: Array) -> Pose:
-    """The pose that best fits a plane's x axis, y axis and origin (3 x 3, camera axes), up to scale."""
+    """The pose that best fits a plane's x axis, y axis and origin (columns, in camera axes), up to scale."""
     scale = np.linalg.norm(axes[:, :2], axis=0).mean() * np.sign(axes[2, 2])
     x, y, origin = (axes / scale).T
     u, _, v = np.linalg.svd(np.stack((x, y, np.cross(x, y)), axis=1))
@@ -106,9 +106,9 @@ def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match
            focal_share: float, steps: int = 50) -> tuple[Lens, dict[str, Pose], float, float]:
     """Lens and poses that agree best with the matches and the priors.
 
-    The hub is above the origin and stays there, but may tilt. The focal length of ``lens`` is only a start:
-    its prior is ``focal`` pixels, with the standard deviation ``focal_share`` of that. The third value is the
-    cost, which compares starts. The fourth is the focal length's standard deviation, as a share.
+    The hub stays above the origin, but may tilt. The focal length of ``lens`` is only a start. Its prior is
+    ``focal`` (pixels) with a standard deviation of ``focal_share`` times that. The third value is the cost,
+    by which starts are compared. The fourth is the focal length's standard deviation, as a share.
     """
     problem = _Bundle(lens, poses, hub, matches, focal, focal_share)
     result = least_squares(problem.residuals, problem.start[problem.free], problem.slopes, x_scale="jac",
@@ -124,8 +124,8 @@ def adjust(lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match
 class _Bundle:
     """The least-squares problem of :func:`adjust`: K matches in two coordinates each, then the priors.
 
-    The unknowns, by ``layout``: ``log_focal``, log of the ratio to the start's; ``distortion``, k1 and
-    k2; ``poses``, by :data:`POSE`. The hub's position and its turn about its axis are not ``free``.
+    ``layout`` is that of unknowns: ``log_focal``, log of the focal length over the start's; ``distortion``,
+    k1 and k2; ``poses``, each as :data:`POSE`. The hub's position and turn about its axis are not ``free``.
     """
 
     def __init__(self, lens: Lens, poses: dict[str, Pose], hub: str, matches: Sequence[Match], focal: float,
@@ -147,7 +147,7 @@ class _Bundle:
         self.free[self.layout.numbers.poses[names.index(hub)]] = POSE.pack(rotation=(True, True, False)) == 1
 
     def full(self, chosen: Array) -> Array:
-        """All unknowns; those that are not free keep the values of the start."""
+        """All unknowns, from the free ones; the others keep the values of the start."""
         values = self.start.copy()
         values[self.free] = chosen
         return values
@@ -161,7 +161,7 @@ class _Bundle:
         return lens, Pose(own.position, Rotation.from_rotvec(own.rotation).as_matrix() @ self.rotations)
 
     def _reprojection(self, seen: Array, lens: Lens, a: Pose, b: Pose) -> Array:
-        """Errors (K x 2, standard deviations) of rays (K x 3) of first photos in second ones, by N poses."""
+        """Errors (K x 2, standard deviations) of rays (K x 3) of first photos in second ones, for N poses."""
         return (carried(lens, a.pick(self.first), b.pick(self.second), seen) - self.at_b) / self.sigma
 
     def _beforehand(self, values: Array) -> Array:
@@ -183,7 +183,7 @@ class _Bundle:
                                self._beforehand(values)))
 
     def slopes(self, chosen: Array) -> Array:
-        """Central differences, by one unknown of all photos at once: a match depends on two photos only."""
+        """Jacobian by central differences, one unknown of all photos at once: a match involves two photos."""
         values, step, at = self.full(chosen), 1e-6, self.layout.numbers
         expected = 3 + 3 * len(self.rotations)
         out = np.zeros((2 * self.count + expected, len(values)))

@@ -1,4 +1,4 @@
-"""The sheet of tags that is laid on the material: its layout, where it is white paper, and a file to print.
+"""The sheet of tags that is laid on the material: its layout, its white areas, and a file to print.
 
 Sixteen AprilTags of the family 36h11 (Olson 2011; Wang and Olson 2016), ids 0 to 15, on the border of a 5 x 5
 grid with a pitch of two tags: the layout of svbrdf-diff-renderer, whose sheets and ours are interchangeable.
@@ -28,7 +28,7 @@ TAG, PITCH, FRAME = 8, 16, 72
 HOLE = 52  # side of the square to cut out: two cells from the tags, three from the patch
 OUTER = 76  # side of the sheet: two white cells around the tags
 PATCH = 0.64  # of the frame: what svbrdf-diff-renderer crops, 1024 of 1600 pixels
-SMALLEST = 5.0  # cm: cells of 0.7 mm, which a phone half a metre away still sees in 3 pixels
+SMALLEST = 5.0  # cm: cells of 0.7 mm, still 3 pixels in a photo from half a metre away
 SHEETS: dict[Paper, tuple[float, float]] = {"a4": (21.0, 29.7), "letter": (21.59, 27.94)}  # cm
 PAPER_THICKNESS = 0.01  # cm, of 80 g/m^2
 PRINTER_MARGIN = 0.5  # cm that many printers leave white
@@ -37,10 +37,10 @@ ABOVE = 2.0  # cm between the upper edge of the paper and the sheet
 
 @dataclass(frozen=True)
 class Sheet:
-    """Where everything is on the sheet; x right, y up, origin in the middle, z = 0.
+    """The layout of the sheet: x right, y up, origin in the middle, z = 0.
 
     Args:
-        size: cm, above 0, from outer edge to outer edge of the frame of tags; else ConfigError.
+        size: of the frame of tags, outer edge to outer edge, in cm. ConfigError unless finite and above 0.
     """
 
     size: float = 18.0
@@ -72,7 +72,7 @@ class Sheet:
 
     @cached_property
     def corners(self) -> dict[int, NDArray[np.float64]]:
-        """Corners of the tags (4 x 3, cm) by id: top left, top right, bottom right, bottom left."""
+        """A dict: id of a tag to its corners (4 x 3, cm): top left, top right, bottom right, bottom left."""
         square = np.array([[0, 0], [TAG, 0], [TAG, TAG], [0, TAG]])
         at = {number: square + place - OUTER / 2 for number, place in enumerate(_PLACES)}
         return {number: np.column_stack((xy * (1, -1), np.zeros(4))) * self.cell for number, xy in at.items()}
@@ -105,7 +105,7 @@ def tag_cells(number: int) -> NDArray[np.bool_]:
 
 
 def _grids() -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """White cells of the sheet (hole included), and cells that are white paper, as all neighbours are."""
+    """White cells of the sheet (hole included); cells of white paper with neighbours of white paper only."""
     cells, paper = np.ones((2, OUTER, OUTER), dtype=bool)
     for number, (column, row) in enumerate(_PLACES):
         tag = slice(row, row + TAG), slice(column, column + TAG)
@@ -129,10 +129,10 @@ def write_sheet(path: str | Path, size_cm: float = 18.0, paper: Paper = "a4") ->
 
     Args:
         path: .pdf or .svg (vector graphics), or .png (600 dots an inch).
-        size_cm: of the frame, outer edge to outer edge of the tags.
+        size_cm: size of the frame of tags, outer edge to outer edge.
 
     Raises:
-        ConfigError: a size that does not fit on the paper, or too small to be seen; a file of another kind.
+        ConfigError: the size does not fit on the paper, or is too small to be seen; another kind of file.
     """
     if paper not in SHEETS:
         raise ConfigError(f"paper of {tuple(SHEETS)}", repr(paper), "choose one of these")

@@ -1,12 +1,12 @@
 """Tags of the sheet in one photo: found by OpenCV's detector, then measured where black turns into white.
 
-Corners that a detector reports are off by half a pixel, and a lens bends the edges between them. So points
-along the outer edges of the tags are measured, each only in the direction across its edge: where linear light
-crosses the middle between black and white.
+The detector's corners are off by half a pixel, and a lens bends the edges between them. So points along the
+outer edges of the tags are measured, each only in the direction across its edge: where linear light crosses
+the middle between black and white.
 
-The rim of the photo or scissors may cut off outer edges of a tag. The edges between its black and white cells
-are measured instead. The tag counts as found if most of those edges in the picture agree with the code of the
-tag.
+If the rim of the photo or scissors cut off outer edges of a tag, its cell edges, between black and white
+cells, are measured instead. The tag counts as found if most of its cell edges in the picture agree with its
+code.
 """
 
 from collections.abc import Mapping
@@ -25,15 +25,15 @@ from .features import mapped
 from .sheet import CODES, TAG, Sheet, tag_cells
 from .tag_search import LEAST_TAGS, at_rim, detected, expected, fault_of, sought, sought_by_features
 
-# Of a tag: edge points in cells from its top left corner, the same in pixels, directions across; corners.
+# A measured tag: edge points in cells from its top left corner; in pixels; directions across; corners.
 Measured: TypeAlias = tuple[Array, Array, Array, Array]
 PROFILE = 33  # samples across an edge
-CONTRAST = 0.03  # linear, between white and black, below which nothing is measured
-WIDTH = 4  # profiles along the edge of a cell, in its middle part
+CONTRAST = 0.03  # least difference of white and black, linear, to measure an edge
+WIDTH = 4  # number of profiles that are averaged, in the middle part of a cell's edge
 REACH_INSIDE = 0.45  # reach of a profile to each side, in cells: the next edge may be a cell away
 PASSES = 5
-AGREE, LEAST_EDGES = 0.6, 16  # least share and number of edges in the picture that agree with the code
-OUTLIER = 4.0  # times the median error
+AGREE, LEAST_EDGES = 0.6, 16  # least share and number of visible cell edges that must agree with the code
+OUTLIER = 4.0  # edges with an error of more than this many medians are ignored
 CORNERS = np.array([[0, 0], [TAG, 0], [TAG, TAG], [0, TAG]], dtype=np.float64)
 
 
@@ -53,7 +53,7 @@ def profile_values(grey: NDArray, linear: NDArray[np.float32], corners: Array, a
 
 
 def crossings(values: Array, steps: Array) -> Array:
-    """Where profiles (... x PROFILE, black to white) cross the middle between their ends once, else NaN."""
+    """Where profiles (... x PROFILE, black to white) cross the mean of their ends; NaN unless just once."""
     quarter = PROFILE // 4
     black, white = np.median(values[..., :quarter], axis=-1), np.median(values[..., -quarter:], axis=-1)
     above = values > ((black + white) / 2)[..., None]
@@ -89,8 +89,8 @@ EDGES = [_edges(number) for number in range(len(CODES))]
 
 def measured_inside(grey: NDArray, linear: NDArray[np.float32], number: int,
                     corners: Array) -> Measured | None:
-    """A tag measured at the edges between its cells (:data:`Measured`), or None. Its corners lie within half
-    a cell of those given (4 x 2 pixels).
+    """Measure a tag at its cell edges (:data:`Measured`); None: too few agree with its code. The given
+    ``corners`` (4 x 2 pixels) must be right to half a cell.
     """
     middle, out = EDGES[number]
     along, steps = out[:, ::-1], np.linspace(-REACH_INSIDE, REACH_INSIDE, PROFILE)
@@ -111,14 +111,14 @@ def measured_inside(grey: NDArray, linear: NDArray[np.float32], number: int,
 
 
 def _across(warp: Array, edge: Array, along: Array) -> Array:
-    """Unit vectors (... x 2, pixels) across an edge; ``warp`` maps its points and direction from cells."""
+    """Unit vectors (... x 2, pixels) across edges. ``warp`` maps ``edge`` and ``along`` from cells."""
     tangent = mapped(warp, edge + 0.1 * along) - mapped(warp, edge - 0.1 * along)
     return (np.stack((tangent[..., 1], -tangent[..., 0]), axis=-1)
             / np.linalg.norm(tangent, axis=-1, keepdims=True))
 
 
 def _basis(points: Array) -> Array:
-    """Derivatives of points (K x 2) by the eight parameters of a small homography: K x 2 x 8."""
+    """K x 2 x 8: derivatives of points (K x 2) by the eight parameters of a small homography."""
     x, y = (points / (TAG / 2) - 1).T
     one, none = np.ones_like(x), np.zeros_like(x)
     return np.stack((np.stack((one, x, y, none, none, none, x * x, x * y), axis=-1),
@@ -126,7 +126,7 @@ def _basis(points: Array) -> Array:
 
 
 def _moves(at: Array, way: Array, offset: Array, good: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
-    """Homography (:func:`_basis`) that moves points (K x 2) by ``offset`` along ``way``; and which agree."""
+    """Parameters (:func:`_basis`) that move points (K x 2) by ``offset`` along ``way``; points that agree."""
     slopes = (_basis(at) * way[..., None]).sum(axis=1)
     for _ in range(3):
         moves = np.linalg.lstsq(slopes[good], offset[good], rcond=None)[0]
@@ -135,9 +135,9 @@ def _moves(at: Array, way: Array, offset: Array, good: NDArray[np.bool_]) -> tup
     return moves, good
 
 
-MOST_PIXELS = 4100  # of the long side that is measured; 12 megapixels are 4032 wide
+MOST_PIXELS = 4100  # of the long side; larger photos are reduced to measure tags. 12 megapixels have 4032
 POINTS = 8  # measured along each edge, from WIDTH profiles each
-# reach of a profile to each side: in cells, and in the last pass at most so many pixels
+# reach of a profile to each side: in cells, and in the last pass at most this many pixels
 REACH, REACH_PIXELS = 0.75, 8.0
 # least points of each edge, or the tag does not count; glare, a finger or the rim may hide the others
 LEAST_POINTS = 3
@@ -149,15 +149,15 @@ class Edges:
 
     plane: Array  # on the sheet, K x 2 in cm
     pixels: Array  # in the stored photo, K x 2
-    across: Array  # unit vectors across the edges in the photo, K x 2; a point is known only along these
-    corners: dict[int, Array]  # of each tag in the photo (4 x 2) by id, in the order of Sheet.corners
-    trimmed: bool = False  # whether the tags have no white around them, and features found them
-    fault: str | None = None  # why too few tags were found, where that is known
+    across: Array  # unit vectors across the edges in the photo, K x 2; points are exact only along these
+    corners: dict[int, Array]  # id to corners in the photo (4 x 2), in the order of Sheet.corners
+    trimmed: bool = False  # whether features found the tags, as they have no white around them
+    fault: str | None = None  # why too few tags were found, if known
 
 
 def find_edges(photo: Photo, sheet: Sheet, patient: bool = True) -> Edges:
-    """The tags of a photo, read at no more than 4100 pixels a side. With ``patient``, a photo with too few
-    tags is also searched with wider thresholds and by features, and for its fault.
+    """Measure the tags of a photo in at most 4100 pixels a side. With ``patient``, if too few are found,
+    search again with wider thresholds and by features; if there are still too few, find the reason.
     """
     times = -(-max(photo.size) // MOST_PIXELS)
     image = photo.pixels(MOST_PIXELS)
@@ -187,10 +187,10 @@ def find_edges(photo: Photo, sheet: Sheet, patient: bool = True) -> Edges:
 
 def _tags(sheet: Sheet, grey: NDArray, shown: NDArray[np.uint8], linear: NDArray[np.float32],
           patient: bool) -> dict[int, Measured]:
-    """The measured tags by id; ``shown`` is ``grey`` in 8 bits.
+    """A dict: id to measured tag. ``shown`` is ``grey`` in 8 bits.
 
-    Tags that touch the photo's edge are measured at their inner edges. If all others are too few, tags are
-    searched again, and all are measured at their inner edges.
+    Tags that touch the photo's edge are measured at their cell edges. If the others are too few, all missing
+    tags are searched again, and measured at their cell edges.
     """
     measured = {number: m for number, at in detected(shown).items() if (m := _measured(grey, linear, at))}
     starts, few = {number: m[-1] for number, m in measured.items()}, len(measured) < LEAST_TAGS
@@ -207,19 +207,19 @@ def _tags(sheet: Sheet, grey: NDArray, shown: NDArray[np.uint8], linear: NDArray
 
 
 def _inside(grey: NDArray, linear: NDArray[np.float32], corners: Mapping[int, Array]) -> dict[int, Measured]:
-    """Tags measured at their inner edges, by id; ``corners`` (4 x 2) are where they should be."""
+    """A dict: id to tag, measured at its cell edges. ``corners``: id to expected corners (4 x 2)."""
     return {number: m for number, at in corners.items()
             if (m := measured_inside(grey, linear, number, at))}
 
 
-# Places of profiles along an edge; directions along and out of each edge: top, right, bottom, left; in cells.
+# In cells: places of profiles along an edge; directions along, and out of, the top, right, bottom, left edge.
 _ALONG = 1 + (TAG - 2) * (np.arange(POINTS * WIDTH) + 0.5) / (POINTS * WIDTH)
 _WAY = np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
 _OUT = np.array([[0, -1], [1, 0], [0, 1], [-1, 0]])
 
 
 def _measured(grey: NDArray, linear: NDArray[np.float32], corners: Array) -> Measured | None:
-    """A tag measured at its outer edges (:data:`Measured`), or None."""
+    """Measure a tag at its outer edges (:data:`Measured`); None: an edge has too few points."""
     found = corners
     on = CORNERS[:, None] + _ALONG[:, None] * _WAY[:, None]  # 4 x (POINTS * WIDTH) x 2
     for last in (False, True):

@@ -1,6 +1,6 @@
-"""Where tags may be in a photo, by OpenCV's detector or by features; and why there are hardly any.
+"""Search a photo for tags by OpenCV's detector or by features; and find out why there are too few.
 
-The detector needs white around each tag. A sheet that has lost its white rim on a dark material is found by
+The detector needs white around each tag. A sheet without its white rim, on a dark material, is found by
 features: the print has hundreds.
 """
 
@@ -19,15 +19,15 @@ from .features import find_features, homography, mapped, match
 from .sheet import CODES, TAG, Sheet, tag_cells
 
 SEARCHED = 2050  # pixels of the long side in the first search for tags
-LEAST_TAGS = 4  # fewest tags that tell a pose
+LEAST_TAGS = 4  # fewest tags that determine a pose
 RIM = 0.06  # white added around a photo, as a share of its long side, for tags that touch its edge
-PRINT = 40  # pixels a cm, if the sheet has 18 cm, at which features of the print are searched
+PRINT = 40  # pixels per cm, for a sheet of 18 cm, in which features of the print are searched
 WIDER = {"adaptiveThreshWinSizeMin": 23, "adaptiveThreshWinSizeMax": 143, "adaptiveThreshWinSizeStep": 30,
-         "adaptiveThreshConstant": 3.0}  # for photos blurred, dark, or unevenly lit
+         "adaptiveThreshConstant": 3.0}  # for blurred, dark or unevenly lit photos
 
 
 def detected(grey: NDArray[np.uint8], **options: Any) -> dict[int, Array]:
-    """Corners of tags (4 x 2) by id, without tags seen twice; options of OpenCV's ``DetectorParameters``."""
+    """A dict: id to corners (4 x 2), without ids seen twice. ``options``: OpenCV's ``DetectorParameters``."""
     cells = [np.ascontiguousarray(tag_cells(number)[1:-1, 1:-1]).astype(np.uint8)
              for number in range(len(CODES))]
     rows = [cv2.aruco.Dictionary.getByteListFromBits(middle) for middle in cells]
@@ -52,7 +52,7 @@ def detected(grey: NDArray[np.uint8], **options: Any) -> dict[int, Array]:
 
 
 def sought(grey: NDArray[np.uint8], patient: bool = True, **options: Any) -> dict[int, Array]:
-    """As :func:`detected`, with white around the photo; if ``patient`` and few, by wider thresholds, too."""
+    """As :func:`detected`, with white around the photo. ``patient``: if few, also with wider thresholds."""
     rim = round(RIM * max(grey.shape))
     framed = cv2.copyMakeBorder(grey, rim, rim, rim, rim, cv2.BORDER_CONSTANT, value=(255,))
     found = detected(framed, **options)
@@ -62,7 +62,7 @@ def sought(grey: NDArray[np.uint8], patient: bool = True, **options: Any) -> dic
 
 
 def sought_by_features(photo: Photo, sheet: Sheet) -> dict[int, Array]:
-    """Corners of all tags (4 x 2 pixels of the photo) by id, from features of the print; empty: not found."""
+    """A dict: id to corners (4 x 2 pixels) of all tags, from features of the print; empty: not found."""
     picture, hole = sheet.picture(PRINT * 18 / sheet.size)
     picture[hole] = 128
     with tempfile.TemporaryDirectory() as folder:
@@ -80,7 +80,7 @@ def sought_by_features(photo: Photo, sheet: Sheet) -> dict[int, Array]:
 
 
 def fault_of(grey: NDArray[np.uint8]) -> str | None:
-    """What is wrong with a photo in which hardly any tags were found; None: unknown."""
+    """Why too few tags were found in a photo: it is mirrored, or in negative; None: unknown."""
     if (count := len(sought(cv2.flip(grey, 1)))) >= LEAST_TAGS:
         return f"mirrored: {count} of 16 tags seen in its mirror image; give the file as the phone wrote it"
     if (count := len(sought(grey, detectInvertedMarker=True))) >= LEAST_TAGS:
@@ -90,7 +90,7 @@ def fault_of(grey: NDArray[np.uint8]) -> str | None:
 
 
 def expected(corners: Mapping[int, Array], sheet: Sheet) -> dict[int, Array]:
-    """Expected corners of all tags (4 x 2) by id, from the corners of some tags, if the sheet is flat."""
+    """A dict: id to expected corners (4 x 2) of all tags, from the corners of some, if the sheet is flat."""
     if not corners:
         return {}
     on_sheet = np.concatenate([sheet.corners[number][:, :2] for number in corners])

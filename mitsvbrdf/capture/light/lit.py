@@ -1,4 +1,4 @@
-"""Photos with their light known: pictures without vignetting, and the views that they were taken from."""
+"""Photos with known light: pictures without vignetting, and their views."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ class Lit:
     """The photos of a rig, and their light."""
 
     rig: Rig  # with the flash and vignetting of its lens; poses in the order in which the photos were given
-    shading: Shading | None  # flash, vignetting and exposures; None where the photos do not tell them
+    shading: Shading | None  # flash, vignetting and exposures; None: the photos do not show them
     # N x R x R x 3 display values without vignetting, filled where masked or beyond a photo's edges
     pictures: torch.Tensor
-    measured: torch.Tensor | None  # N x R x R, False where a picture is filled; None: nowhere
+    measured: torch.Tensor | None  # N x R x R, False where a picture is filled; None: all True
     views: Views  # N
     notes: tuple[str, ...]  # what a user should know
 
     @classmethod
     def of(cls, rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Paper | None = None,
            depth: float = 0.0) -> Lit:
-        """The light of the photos that ``rig`` has poses of; a sheet's paper lies at z = ``depth`` cm."""
+        """Find the light of photos with a pose in ``rig``; the paper of a sheet is at z = ``depth`` cm."""
         given = [name for name in rectified.pictures if name in rig.poses]
         rig = replace(rig, poses={name: rig.poses[name] for name in given})
         shading, notes = _shading(rig, rectified, transfer, paper, depth)
@@ -74,7 +74,7 @@ def _shading(rig: Rig, rectified: Rectified, transfer: color.Transfer, paper: Pa
 
 
 def _views(rig: Rig, shading: Shading | None) -> Views:
-    """The views: places, and intensities that include each photo's exposure; the default where unknown."""
+    """The views: positions, and intensities times exposures; the default for what is unknown."""
     if rig.source == "none":
         views = default_views(len(rig.poses))
         return Views.of(views.camera * rig.size, None, views.intensity * rig.size**2, rig.size)
@@ -87,7 +87,7 @@ def _views(rig: Rig, shading: Shading | None) -> Views:
 
 
 def without_vignetting(picture: np.ndarray, rig: Rig, name: str, transfer: color.Transfer) -> np.ndarray:
-    """A rectified photo (R x R x 3 display values, NaN stays) without vignetting; clipped values stay so."""
+    """Remove vignetting from a rectified photo, R x R x 3 display values. Clipped values and NaN stay so."""
     if rig.lens.vignetting == (0.0, 0.0):
         return picture
     linear = color.decode(torch.from_numpy(picture), transfer).numpy()

@@ -1,4 +1,4 @@
-"""The least-squares problem of the light; its unknowns: flash, vignetting, exposures and one lobe for all."""
+"""The least-squares problem of the light. Unknowns: flash, vignetting, exposures, one lobe for all texels."""
 
 import math
 
@@ -14,25 +14,25 @@ from .upside_down import Flashes
 # Priors, standard deviations. A phone's flash is 1 to 3 cm beside its lens, in the same plane.
 FLASH_SD = {"cm": (2.0, 2.0, 0.3), "patch sides": (0.1, 0.1, 0.02)}
 VIGNETTING_SD = 0.3, 0.3
-EXPOSURE_SD = 0.05  # natural logarithm; a locked exposure repeats itself to some per cent
-LOG_ALPHA = math.log(0.3), 1.0  # of the lobe, natural logarithm, and its sd
-LOG_F0 = math.log(0.16), 1.5  # of the lobe, natural logarithm over the median albedo, and its sd
+EXPOSURE_SD = 0.05  # natural logarithm; a locked exposure still varies by a few per cent
+LOG_ALPHA = math.log(0.3), 1.0  # the lobe's alpha, natural logarithm, and its sd
+LOG_F0 = math.log(0.16), 1.5  # the lobe's F0 over the median albedo, natural logarithm, and its sd
 # angles from the mirror direction: weights are LEAST_WEIGHT up to the first, 1 from the second on
 MIRROR = math.radians(10), math.radians(20)
 LEAST_WEIGHT = 0.05  # of points near the mirror direction: a texel may have no others
-DARKEST = -7.0  # natural logarithm of albedo over the median; less cannot be told from 0
+DARKEST = -7.0  # natural logarithm of albedo over the median; lower values look like 0
 POLISHES = 10
-ALBEDO_STEPS = 6  # of Gauss-Newton, where there is a lobe
+ALBEDO_STEPS = 6  # of Gauss-Newton, if there is a lobe
 
 
 class Problem:
     """The residuals of a rig's samples, K points of M photos.
 
-    The unknowns, by ``layout``, are differences from the expected values: ``flash``, its place in camera axes
+    The unknowns (``layout``) are differences from the expected values: ``flash``, position in camera axes
     (the rig's unit); ``vignetting``, v1 and v2; ``exposures``, natural logarithms, one a photo; ``log_alpha``
-    and ``log_f0`` of the lobe. :meth:`residuals` and :meth:`jacobian` take them in standard deviations of the
-    prior, ``spread``. The search begins at ``begin``, with these ``exposures``; the further one is from 0,
-    the wider its prior.
+    and ``log_f0`` of the lobe. :meth:`residuals` and :meth:`jacobian` take them divided by ``spread``, the
+    standard deviations of the prior. The search starts at ``begin``, which contains the argument
+    ``exposures``. The farther such an exposure is from 0, the wider is its prior.
     """
 
     def __init__(self, rig: Rig, samples: Samples, exposures: Array | float = 0.0) -> None:
@@ -51,7 +51,7 @@ class Problem:
         self.start = np.where(np.isfinite(self.start), self.start, self.typical).clip(self.typical + DARKEST)
 
     def flashes(self, unknowns: Array) -> Array:
-        """Places of the flash in the world, M x 3."""
+        """Positions of the flash in the world, M x 3."""
         return self.cameras + self.turns @ unknowns[self.layout["flash"]]
 
     def falloff(self, unknowns: Array) -> Array:
@@ -59,7 +59,7 @@ class Problem:
         return falloff_of(self.flashes(unknowns)[self.samples.photo], self.samples.points)
 
     def model(self, unknowns: Array) -> Array:
-        """Logarithm of radiance over albedo / pi * I."""
+        """Logarithm of each point's diffuse radiance divided by (albedo / pi * I)."""
         s, u = self.samples, self.layout.unpack(unknowns)
         return (u.exposures[s.photo] + self.falloff(unknowns)
                 + np.log(transmission_of(s.radius2, u.vignetting)))
@@ -91,8 +91,8 @@ class Problem:
     def explain(self, unknowns: Array, weights: Array) -> tuple[Array, Array, Array]:
         """The albedo that explains the points best (Gauss-Newton) for these unknowns.
 
-        Logarithm of albedo / pi of each texel, for an intensity of 1; logarithm of the factor by which the
-        lobe brightens each point; and the error that is left.
+        Returns the logarithm of albedo / pi of each texel, for an intensity of 1; the logarithm of the factor
+        by which the lobe brightens each point; and the remaining error of each point.
         """
         texel, lobe = self.samples.texel, self.lobe(unknowns)
         apparent = self.samples.log - self.model(unknowns)
@@ -107,7 +107,7 @@ class Problem:
         return albedo, gloss, apparent - albedo[texel] - gloss
 
     def slopes(self, unknowns: Array, albedo: Array) -> Array:
-        """Derivatives of each point's log radiance by the unknowns, with the albedo fixed: K x unknowns."""
+        """Derivatives of each point's log radiance by the unknowns, for a fixed albedo: K x unknowns."""
         def shown(unknowns: Array) -> Array:
             return self.model(unknowns) + np.log1p(self.lobe(unknowns) / np.exp(albedo)[self.samples.texel])
 
@@ -133,14 +133,14 @@ class Problem:
         return np.concatenate((-np.sqrt(weights)[:, None] / scale * out * self.spread, np.eye(len(x))))
 
     def flashes_of_each(self, unknowns: Array, weights: Array, scale: float) -> Flashes:
-        """The flash that each photo shows on paper by itself, near ``unknowns``."""
+        """The flash estimated from each photo of paper alone, linearised at ``unknowns``."""
         both, places, information = self.layout.numbers.flash[:2], [], []
         albedo, _, error = self.explain(unknowns, weights)
         slopes = self.slopes(unknowns, albedo)[:, both]
         for photo in range(len(self.turns)):
             w, rows = (x[self.samples.photo == photo] for x in (weights / scale**2,
                                                                 np.column_stack((slopes, error))))
-            rows = rows - w @ rows / w.sum().clip(1e-12)  # whatever the exposure
+            rows = rows - w @ rows / w.sum().clip(1e-12)  # removes the exposure
             square = rows.T @ (w[:, None] * rows)
             information.append(square[:2, :2] + 1e-9 * np.eye(2))
             places.append(unknowns[both] + np.linalg.solve(information[-1], square[:2, 2]))

@@ -1,4 +1,4 @@
-"""What photos show of the light: means over small blocks of paper and material, with their place."""
+"""Samples of the light in photos: means over small blocks of paper or material, with their positions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..rig import Rig
 FAINTEST_CORNER = 0.2  # least transmission
 
 BLOCKS_ALONG = 96  # blocks along a photo's long side; a block of paper is a sample
-MATERIAL_SIDE = 32  # texels a side of a material that are compared
+MATERIAL_SIDE = 32  # most texels a side to which a material is averaged
 DARK_VALUE = 0.03  # display values below are noise
 DIM = 0.1  # display value at which noise in the logarithm is as large as the model's error
 CELLS = 8  # cells a side of a photo; residuals within a cell may be correlated
@@ -26,7 +26,7 @@ CELLS = 8  # cells a side of a photo; residuals within a cell may be correlated
 
 @dataclass(frozen=True)
 class _Seen:
-    """Points of one photo: place (K x 3), pixel (K x 2), linear radiance and display value (K x 3)."""
+    """Points of one photo: position (K x 3), pixel (K x 2), linear radiance and display value (K x 3)."""
 
     points: Array
     pixels: Array
@@ -39,7 +39,7 @@ class _Seen:
 
 def paper_samples(pixels: np.ndarray, lens: Lens, pose: Pose, white: Callable[[Array], np.ndarray],
                   depth: float, transfer: color.Transfer) -> _Seen:
-    """Blocks of a photo that show nothing but white paper."""
+    """Blocks of a photo; ``usable``: those that show nothing but white paper."""
     height, width = pixels.shape[:2]
     step = max(1, max(height, width) // BLOCKS_ALONG)
     rows, columns = height // step, width // step
@@ -87,7 +87,7 @@ class Samples:
     photo: np.ndarray  # number of each point's photo
     points: Array
     radius2: Array
-    log: Array  # natural logarithm of the mean of the channels
+    log: Array  # natural logarithm of linear radiance, the mean of the channels
     colour: Array  # natural logarithms of the channels over that mean
     weight: Array  # 1 / (1 + noise of the logarithm / error of the model)^2
     texel: np.ndarray  # points of one texel have one albedo
@@ -96,7 +96,7 @@ class Samples:
 
     @classmethod
     def of(cls, rig: Rig, seen: Mapping[str, _Seen], what: str, glossy: bool) -> Samples:
-        """The points of ``seen`` that are neither clipped nor dark; an error names ``what`` photos show."""
+        """Points of ``seen`` that are neither clipped nor dark. ``what``: what they show, for an error."""
         kept = {name: s.usable & (s.display.mean(axis=1) > DARK_VALUE) & np.isfinite(s.pixels).all(axis=1)
                 for name, s in seen.items()}
         if not any(k.any() for k in kept.values()):
@@ -119,7 +119,7 @@ class Samples:
 
 
 def transmission_of(radius2: Array, vignetting: Array) -> Array:
-    """Share of the light that arrives at these squared distances, 1 in the middle, by v1 and v2: K."""
+    """Share of light that the lens transmits at K values of ``Lens.radius2``; ``vignetting``: v1, v2."""
     return (1 + vignetting[0] * radius2 + vignetting[1] * radius2**2).clip(FAINTEST_CORNER)
 
 

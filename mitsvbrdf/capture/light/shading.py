@@ -1,20 +1,20 @@
-"""From the shading of photos with known poses to flash, power, vignetting and exposures.
+"""Find flash, power, vignetting and exposures from the shading of photos with known poses.
 
-A diffuse point of albedo rho, seen through a lens of transmission T, sends to the photo the radiance
+A diffuse point of albedo rho, seen through a lens of transmission T, has in the photo the radiance
 
     L = rho / pi * I * exp(e) * cos / d^2 * T(pixel)
 
 with I the flash's radiant intensity, e the logarithm of the photo's exposure, d the distance to the flash and
-cos the cosine of the angle from flat normal to flash. The logarithm of L is linear in all unknowns but the
-flash's place and vignetting. White paper has one known albedo everywhere. A material has an albedo in each
-texel, the same in all photos, and one GGX lobe that all texels share. Albedo is eliminated (variable
-projection, Golub and Pereyra 1973), so photos are compared with each other. Positive errors are mostly
-highlights: their weights fall fast, those of negative errors slowly (iteratively reweighted least squares).
-Paper has no lobe; points near its mirror direction count little.
+cos the cosine of the angle from flat normal to flash. The logarithm of L is linear in all unknowns except
+vignetting and the flash's position. White paper has one known albedo. Each texel of a material has an albedo,
+the same in all photos; all texels share one GGX lobe. Variable projection (Golub and Pereyra 1973) eliminates
+the albedo, so photos are compared with each other. Positive errors are mostly highlights: weights fall fast
+with positive errors, and slowly with negative ones (iteratively reweighted least squares). Paper has no lobe;
+points near its mirror direction have low weights.
 
-Residuals of neighbouring points are correlated, so the noise, and how many points count as one, are measured
-on the residuals, as in :mod:`mitsvbrdf.calibrate.refine`. Where a material is hardly diffuse at all, both are
-large, and the priors decide.
+Residuals of neighbouring points are correlated. The noise, and how many points count as one, are measured on
+the residuals, as in :mod:`mitsvbrdf.calibrate.refine`. If a material is hardly diffuse, both are large, and
+the priors decide.
 """
 
 import math
@@ -35,9 +35,9 @@ from .solve import Shading, solve_light
 PAPER_ALBEDO, PAPER_SD = 0.8, math.log(0.9 / 0.75) / math.sqrt(12)  # sd of its natural logarithm
 MOST_ALBEDO = 0.8
 # A photo has another white balance if the natural logarithm of its colour differs from the median photo's by
-# TINTED, and by SURELY deviations over texels (18 real ones: up to 2.0). It must show LEAST_COLOURED points.
+# TINTED, and by SURELY deviations over texels (18 real materials: up to 2.0). It needs LEAST_COLOURED points.
 TINTED, SURELY, LEAST_COLOURED = 0.03, 3.0, 20
-# usual F0 of the lobe, sd of its logarithm; dielectrics have 0.04, but one lobe for all finds 0.005 to 0.06
+# the lobe's usual F0, sd of its logarithm; dielectrics have 0.04, but one lobe for all gives 0.005 to 0.06
 LOBE_F0 = 0.03, 0.6
 
 
@@ -45,10 +45,10 @@ def shading_of_paper(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color
                      white: Callable[[Array], np.ndarray], depth: float = 0.0) -> Shading:
     """Flash, its power and colour, vignetting and exposures from white paper around the material.
 
-    Photos are pixels H x W x 3 as stored (integers, or float in [0, 1]), of the lens's size, or that
-    divided by a whole number; those without a pose do not count. ``white`` says for points of the world (K x
-    2) whether bare paper is there. The paper's albedo is the same in all channels, so its colour in the
-    photos is the flash's. CaptureError: no photo shows white paper that is neither clipped nor dark.
+    ``photos``: H x W x 3 as stored (integers, or float in [0, 1]), in the lens's size, or in that size
+    divided by a whole number; photos without a pose are ignored. ``white``: for points of the world (K x 2),
+    whether bare paper is there. The paper's albedo is the same in all channels, so its colour in the photos
+    is that of the flash. CaptureError: no photo shows white paper that is neither clipped nor dark.
     """
     seen = {name: paper_samples(photos[name], rig.lens, pose, white, depth, transfer)
             for name, pose in rig.poses.items() if name in photos}
@@ -62,16 +62,16 @@ def shading_of_paper(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color
 
 
 def tint_of(samples: Samples) -> dict[str, Array]:
-    """White balance, as factors of rgb, by name, of photos that differ in it from most photos."""
+    """Photos whose white balance differs from that of most photos: a dict, name to factors of rgb."""
     own, usual, spread = _colours(samples)
     return {name: np.exp(colour - usual) for name, colour in own.items()
             if (np.abs(colour - usual) > np.maximum(TINTED, SURELY * spread[name])).any()}
 
 
 def _colours(samples: Samples, without: Collection[str] = ()) -> tuple[dict, Array, dict]:
-    """Colours of photos relative to their texels' medians over photos, the usual colour, and deviations.
+    """Each photo's colour (a dict), the usual colour (their median), and each photo's deviation over texels.
 
-    Logarithms of rgb over their mean; the usual is a median over photos. Deviations over texels: 0 on paper.
+    A colour is the log of rgb over their mean, relative to texels' medians. Deviations on paper are 0.
     """
     count = samples.texel.max() + 1
     one = count == 1  # paper, which is the same everywhere
@@ -98,15 +98,15 @@ def _said(tint: Mapping[str, Array], where: str, done: str) -> str:
 
 
 def shading_of_material(rig: Rig, photos: Mapping[str, np.ndarray], transfer: color.Transfer) -> Shading:
-    """Flash, vignetting and exposures from a material that looks the same from everywhere but in highlights.
+    """Flash, vignetting and exposures from a material that looks the same from everywhere, except highlights.
 
-    Albedo alone does not tell the light's power, but most materials are dielectrics: the power is what makes
-    the lobe's F0 and the median albedo most probable together (:data:`LOBE_F0`,
-    :data:`~mitsvbrdf.material.maps.USUAL_ALBEDO`), with no more than one texel in a hundred whiter than
-    paper. A metal is taken for a dielectric under a brighter flash. The flash is taken to be white.
+    Radiance does not separate albedo from power. But most materials are dielectrics: the power is chosen such
+    that the lobe's F0 and the median albedo are most probable together (:data:`LOBE_F0`,
+    :data:`~mitsvbrdf.material.maps.USUAL_ALBEDO`), with at most one texel in a hundred whiter than paper. A
+    metal is mistaken for a dielectric under a brighter flash. The flash is assumed to be white.
 
-    Photos are rectified to the patch, R x R x 3 display values in [0, 1] with their vignetting, NaN where one
-    does not reach. CaptureError: no photo that is neither clipped nor dark.
+    ``photos``: rectified to the patch, R x R x 3 display values in [0, 1] with their vignetting; NaN beyond
+    the photo. CaptureError: all photos are clipped or dark everywhere.
     """
     seen = {name: material_samples(photos[name], rig.lens, pose, rig.size, transfer)
             for name, pose in rig.poses.items() if name in photos}

@@ -1,6 +1,6 @@
-"""The most probable light: robust least squares in rounds, once more without photos that had no flash.
+"""The most probable light, by robust least squares in rounds; once more without photos that had no flash.
 
-The light in such a photo is even (:func:`evenness_of`).
+The light in a photo without flash is even (:func:`evenness_of`).
 """
 
 import math
@@ -16,51 +16,51 @@ from .problem import EXPOSURE_SD, LOG_F0, Problem, exposures_of
 from .samples import Samples
 from .upside_down import Flashes
 
-# errors of unknowns over those that noise explains, on known materials: not all texels share one lobe
+# errors of unknowns over errors due to noise, on known materials: their texels do not all share one lobe
 MISFIT = 4.0
 ROUNDS = 10  # of reweighting
 SURE = 0.2  # standard deviation up to which evenness counts as measured
 LEAST_LOG_NOISE = 0.002  # of log radiance
-EVEN = 0.5  # evenness from which a photo does not say where the flash is
-LOCKED = 4 * EXPOSURE_SD  # a photo that differs by more from the median photo may be exposed otherwise
-MISSED, AS_WELL = 9.0, 1.1  # largest square of an error over noise that counts in comparing; ratio of means
+EVEN = 0.5  # with more evenness, a photo does not show where the flash is
+LOCKED = 4 * EXPOSURE_SD  # if a photo differs by more from the median one, its exposure may differ
+MISSED, AS_WELL = 9.0, 1.1  # to compare fits: largest (error / noise)^2; ratio of means
 BELOW, ABOVE = 2.0, 3.0  # standard deviations from which negative and positive residuals count less
 
 
 @dataclass(frozen=True)
 class Shading:
-    """What shading says of a rig, and how sure that is."""
+    """The light that the shading of a rig's photos shows, and its standard deviations."""
 
     lens: Lens  # the rig's, with flash and vignetting
-    # radiant intensity of the flash (rgb), of a photo of log_exposure 0; display value 1 is radiance 1
+    # radiant intensity of the flash (rgb) for a log_exposure of 0; radiance 1 is display value 1
     intensity: tuple[float, float, float]
-    log_exposure: dict[str, float]  # natural logarithm of the relative exposure, by name of the photo
+    log_exposure: dict[str, float]  # photo name to natural logarithm of the relative exposure
     # standard deviations of flash_x, flash_y, flash_z (the rig's unit), v1, v2 and log_intensity
     deviations: dict[str, float]
-    exposure_deviations: dict[str, float]  # those of log_exposure
-    # by name, 0 where light falls off as a flash's, 1 where it is even; 0 too where that cannot be told
+    exposure_deviations: dict[str, float]  # standard deviations of log_exposure
+    # photo name to evenness: 0 if light falls off as a flash's, or if that is unclear; 1 if it is even
     evenness: dict[str, float]
-    poses: dict[str, Pose]  # by name; those of photos that were saved upside down are turned
+    poses: dict[str, Pose]  # photo name to pose; turned, if the photo was saved upside down
     notes: tuple[str, ...] = ()  # what was assumed, and which photos do not count
-    # of photos whose white balance is not that of the others, by name: factors of rgb
+    # photo name to factors of rgb, of photos whose white balance is not that of the others
     tint: dict[str, Array] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
 class _Found:
-    """The unknowns at the optimum, and what follows."""
+    """The unknowns at the optimum, and what follows from them."""
 
     rig: Rig
     samples: Samples
-    unknowns: SimpleNamespace  # by the problem's layout
+    unknowns: SimpleNamespace  # named as in the problem's layout
     deviations: SimpleNamespace
-    typical: float  # logarithm of albedo over pi, for an intensity of 1, before anything is known
-    level: float  # the same, as found on paper
+    typical: float  # median log of albedo / pi, for an intensity of 1, before the search
+    level: float  # log of albedo / pi of the first texel, for an intensity of 1; paper has one texel
     level_sd: float
     colour: Array
-    albedo: Array  # logarithm, over pi, of each texel, for an intensity of 1; NaN where nothing is known
+    albedo: Array  # log of each texel's albedo / pi, for an intensity of 1; NaN where nothing is known
     evenness: dict[str, float]
-    flashes: Flashes | None  # by each photo of paper; None of a material
+    flashes: Flashes | None  # estimated from each photo of paper; None for a material
     error: Array  # of each point's log radiance
     noise: float  # its standard deviation, of points that count
     unlit: tuple[str, ...] = ()
@@ -72,7 +72,7 @@ class _Found:
         return math.exp(self.typical + LOG_F0[0] + self.unknowns.log_f0)
 
     def shading(self, intensity: Array, log_intensity_sd: float, notes: tuple[str, ...]) -> Shading:
-        """What was found, in the rig's unit, with an intensity (rgb) that comes from elsewhere."""
+        """The result in the rig's unit; the caller gives the intensity (rgb) and its deviation."""
         names = self.samples.names
         shared = zip(("flash_x", "flash_y", "flash_z", "v1", "v2"),
                      (*self.deviations.flash.tolist(), *self.deviations.vignetting.tolist()))
@@ -95,13 +95,13 @@ class _Found:
 
 
 def solve_light(rig: Rig, samples: Samples) -> _Found:
-    """The most probable unknowns; once more without the photos whose light is even, if there are any."""
+    """The most probable unknowns; if fewer than half of the photos have even light, without these."""
     found = _turned(_most_probable(rig, samples, counts := np.ones(len(samples.names))), counts)
     even = np.array([found.evenness[name] > EVEN for name in samples.names])
     if even.any() and 2 * even.sum() < len(even):
         found = _turned(_most_probable(rig, samples, counts := 1.0 - even), counts)
         found = replace(found, unlit=tuple(name for name, e in zip(samples.names, even) if e))
-        for photo in np.flatnonzero(even):  # its exposure is what it shows beside the others
+        for photo in np.flatnonzero(even):  # its exposure: from its errors under the light found
             error = found.error[samples.photo == photo]
             found.unknowns.exposures[photo] += np.median(error)
             found.deviations.exposures[photo] = noise_of(error - np.median(error), np.ones(len(error)))
@@ -109,7 +109,7 @@ def solve_light(rig: Rig, samples: Samples) -> _Found:
 
 
 def _turned(found: _Found, counts: Array) -> _Found:
-    """The light after turning photos that surely were upside down; in rounds, since misfits weigh little."""
+    """Turn photos that surely were upside down, and find the light anew; in rounds: misfits weigh little."""
     new, signs = found, np.ones(len(counts))
     for _ in range(ROUNDS):
         if new.flashes is None or (change := new.flashes.likeliest()).min() > 0:
@@ -122,10 +122,10 @@ def _turned(found: _Found, counts: Array) -> _Found:
 
 
 def _most_probable(rig: Rig, samples: Samples, counts: Array) -> _Found:
-    """The light with equal exposures, or with those that photos seem to have, if it explains them as well.
+    """The light with equal exposures; or with apparent ones, if these explain the photos as well.
 
-    With equal exposures, a photo of twice the exposure looks like one large highlight. With those of the
-    photos, the search may find a lobe where light is even.
+    With equal exposures, a photo of twice the exposure looks like one large highlight. With apparent
+    exposures, the search may mistake even light for a lobe.
     """
     found, exposures = _optimum(Problem(rig, samples), counts), exposures_of(rig, samples) * counts
     if np.abs(exposures).max() < LOCKED or (max(found.evenness.values()) > EVEN and counts.all()):
@@ -154,7 +154,7 @@ def _optimum(problem: Problem, counts: Array) -> _Found:
                              max_nfev=20)
     unknowns = solution.x * problem.spread
     albedo, gloss, error = problem.explain(unknowns, weights)
-    # errors of a photo that was saved upside down are no highlights: positive ones weigh as negative ones
+    # errors of a photo saved upside down are no highlights: positive ones get the weights of negative ones
     own = samples.weight * counts[samples.photo] * problem.away(unknowns) * trust_of(-np.abs(error) / noise)
     flashes = None if samples.glossy else problem.flashes_of_each(unknowns, own, scale)
     covariance = np.linalg.inv(solution.jac.T @ solution.jac) * np.outer(problem.spread, problem.spread)
@@ -187,7 +187,7 @@ def alike(error: Array, weights: Array, cell: np.ndarray) -> float:
 
 
 def evenness_of(problem: Problem, unknowns: Array, weights: Array, gloss: Array) -> dict[str, float]:
-    """Evenness: 1 - slope of log radiance, less the albedo by other photos, over a flash's pattern."""
+    """Each photo's evenness: 1 - slope of (log radiance - the others' log albedo) over a flash's pattern."""
     samples, pattern = problem.samples, problem.falloff(unknowns) + gloss
     own = samples.weight * problem.away(unknowns)
     weights = np.minimum(weights, own)
@@ -205,7 +205,7 @@ def evenness_of(problem: Problem, unknowns: Array, weights: Array, gloss: Array)
 
 
 def _flatness(pattern: Array, error: Array, weights: Array, cell: np.ndarray) -> float:
-    """Minus the robust slope of errors over the pattern, in [0, 1]; 0 if its deviation is above SURE."""
+    """Minus the robust slope of errors over the pattern, in [0, 1]; 0 if its deviation is SURE or more."""
     if len(pattern) < 20:
         return 0.0
     found = min((_line(pattern, error, weights, cell, start) for start in (0.0, -1.0)),
@@ -214,7 +214,7 @@ def _flatness(pattern: Array, error: Array, weights: Array, cell: np.ndarray) ->
 
 
 def _line(x: Array, y: Array, weights: Array, cell: np.ndarray, slope: float) -> tuple[float, float, float]:
-    """Slope of a robust line, found from ``slope``; standard deviations of the slope and of the residuals."""
+    """A robust line, started at ``slope``: its slope, and standard deviations of slope and residuals."""
     for _ in range(5):
         rest = y - slope * x
         rest = rest - np.median(rest)

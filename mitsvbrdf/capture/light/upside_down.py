@@ -1,8 +1,8 @@
-"""Photos that were saved upside down: by their pixels, the flash lies on the other side of the lens.
+"""Photos that were saved upside down: in their pixels, the flash is on the other side of the lens.
 
-The pose of such a photo is turned with it, so only the light tells. On paper, the falloff in each photo gives
-a flash. One flash at f, or at -f in turned photos, leaves a chi squared of 2M - 2 degrees of freedom in M
-photos. If that exceeds the noise, the noise is taken to be larger (quasi-likelihood, Wedderburn 1974).
+The pose of such a photo is turned with it, so only the light shows the turn. On paper, each photo's falloff
+gives a flash. One flash, at f or (in turned photos) at -f, leaves a chi squared of 2M - 2 degrees of freedom
+in M photos. If chi squared is larger than that, so is the noise (quasi-likelihood, Wedderburn 1974).
 """
 
 import math
@@ -11,16 +11,16 @@ import numpy as np
 
 from ..lens import Array
 
-RARE = 0.01  # prior share of captures with such photos, in which any number of them is equally probable
+RARE = 0.01  # prior share of captures with such photos; each number of them is equally probable
 
 
 class Flashes:
-    """The flash (x, y) that each of M photos shows.
+    """The flash (x, y) as estimated from each of M photos.
 
     Args:
         places: M x 2.
-        information: M x 2 x 2, the inverses of their covariances.
-        prior: 2 x 2, the information of the prior on the one flash, which is expected at 0.
+        information: M x 2 x 2, the inverse covariance of each place.
+        prior: 2 x 2, the inverse covariance of the prior on the flash, whose mean is 0.
     """
 
     def __init__(self, places: Array, information: Array, prior: Array) -> None:
@@ -29,7 +29,7 @@ class Flashes:
         self._pulls = pull @ np.linalg.cholesky(np.linalg.inv(information.sum(axis=0) + prior))
 
     def likeliest(self) -> Array:
-        """The best M signs of the flash: 1 in most photos, -1 in those that are turned."""
+        """The likeliest sign of the flash in each of M photos: -1 if the photo is surely turned, else 1."""
         tried = [np.ones(len(self._pulls))]
         for toward in self._pulls:
             for _ in range(3):
@@ -40,7 +40,7 @@ class Flashes:
         return np.where(sure, best if best.sum() >= 0 else -best, 1.0)
 
     def turned(self, signs: Array) -> bool:
-        """Whether the photos with a sign of -1 (of M signs) surely had to be turned to show these flashes."""
+        """Whether it was surely right to turn photos with a sign of -1; ``self`` is the result."""
         if not (few := int((signs < 0).sum())):
             return False
         expected = RARE / (1 - RARE) / (len(signs) + 1) / math.comb(len(signs), few)

@@ -1,1 +1,1 @@
-"""From rectified photos and their views to a judgement."""
+"""Judge rectified photos, and suggest from where to take the next."""

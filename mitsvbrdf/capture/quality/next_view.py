@@ -1,4 +1,4 @@
-"""The next best view: where one more photo would show most new highlights, in words for a person."""
+"""The next best view: where one more photo would show most new highlights, described in words."""
 
 import math
 from collections.abc import Sequence
@@ -8,11 +8,11 @@ import torch
 
 from ...views import Views, coverage_angle
 
-# Half vectors this close to the flat normal show a highlight (of roughness 0.35: alpha is tan 7 degrees).
+# A half vector this close to the flat normal shows a highlight (roughness 0.35: alpha is tan 7 degrees).
 HIGHLIGHT_ANGLE = math.radians(7)
 # places tried: step of their grid and largest distance sideways, in patch sides; largest slant
 GRID_STEP, FARTHEST, SLANT = 0.05, 1.0, math.radians(35)
-WORTH = 0.02  # of the patch: less is no reason to take one more photo
+WORTH = 0.02  # share of the patch: a smaller gain is not worth one more photo
 
 
 @dataclass(frozen=True)
@@ -21,12 +21,12 @@ class NextView:
 
     camera: tuple[float, float, float]  # x, y, z in the unit of the views
     gain: float  # share of the patch where it would be the first to show a highlight
-    near: int  # number of the photo that was taken closest to it
+    near: int  # index of the photo that was taken closest to this place
     words: str  # what to do, for a person
 
 
 def next_best_view(views: Views, names: Sequence[str], unit: str) -> NextView | None:
-    """The place at the usual height where one more photo shows most new highlights; None: hardly any.
+    """The place, at the median height, where one more photo shows most new highlights; None: hardly any.
 
     ``names`` are those of the photos so far, ``unit`` is ``cm`` or ``patch sides``.
     """
@@ -43,7 +43,7 @@ def next_best_view(views: Views, names: Sequence[str], unit: str) -> NextView | 
                     intensity=sides.intensity[:1].expand(len(places), 3))
     new = [unseen & (coverage_angle(tried.pick([i]), side) <= HIGHLIGHT_ANGLE) for i in range(len(places))]
     gains = torch.stack([shown.double().mean() for shown in new])
-    # Of places that show as much, the one closest to the middle: the least slanted view.
+    # Of places with the same gain, take the one closest to the middle: the least slanted view.
     best = int((gains - 1e-3 * places[:, :2].norm(dim=1)).argmax())
     if gains[best] < WORTH:
         return None
@@ -65,6 +65,6 @@ def _words(way: Sequence[float], height: float, name: str, unit: str, size: floa
     above = length(height) if unit == "cm" else f"{height:.1f} patch sides"
     if abs(way[2]) < least[2]:
         moves.append(f"at the same height ({above})")
-    # else the photos say what is up
+    # else the photos show which way is up
     upright = "; the sheet's arrow points away from you" if unit == "cm" else ""
     return f"from where {name} was taken, hold the phone {', '.join(moves)}{upright}"

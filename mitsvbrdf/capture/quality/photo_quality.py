@@ -1,7 +1,7 @@
 """How good each photo is: clipped, dark, blurred, or unlike the others.
 
-A photo is compared with the others where they should agree. Each texel's radiance over its irradiance is its
-apparent albedo; the median over the photos has neither highlight nor finger.
+Photos are compared in what they should agree on: the apparent albedo of a texel, its radiance over its
+irradiance. The median of the photos shows neither a highlight nor a finger.
 """
 
 import math
@@ -19,41 +19,41 @@ from ...color import NEARLY_CLIPPED
 from ...material.resample import resized
 from ...views import Views, geometry
 
-# most texels a side for the comparison of radiance, and for that of detail
+# most texels a side, to compare radiance and to compare detail
 RADIANCE_SIDE, DETAIL_SIDE = 32, 512
-# a texel beyond one of these is unlike the others: summed difference of chromaticity, log of radiance
+# a texel is unlike the others if it exceeds one: summed difference of chromaticity, log of how much darker
 COLOUR, DARKER = 0.3, 1.4
-# correlation of detail with the median photo: least in the median over photos, most in one that lacks it
+# correlation of detail with the median photo: above AGREE in most photos, below DISAGREE if detail is lost
 AGREE, DISAGREE = 0.5, 0.3
-SLIGHT_COLOUR, SLIGHT = 0.1, 0.3  # by which the colour or brightness of such a texel must differ, too
+SLIGHT_COLOUR, SLIGHT = 0.1, 0.3  # a texel with lost detail must also differ in colour or brightness
 
 
 @dataclass(frozen=True)
 class PhotoQuality:
-    """Numbers of one photo."""
+    """Measures of one photo's quality."""
 
     name: str  # of the file
     overlap: float  # share of the patch within the photo, masked or not
-    clipped: float  # share of its texels with a channel at the limit
-    sharpness: float  # detail in the direction that has least, relative to the median photo
-    stops: float  # how much brighter than the others it shows the same texels, as powers of two
-    unlike: float  # share of the patch, in one piece, of a colour or a darkness that no other photo shows
-    unlike_detail: float  # the same, of texels that lack the detail that the others agree on
+    clipped: float  # share of its texels with a clipped channel
+    sharpness: float  # detail over the median photo's, in the direction with the least
+    stops: float  # how much brighter its texels are than in the other photos, in powers of two
+    unlike: float  # largest piece (share of the patch) unlike the median photo in colour or darkness
+    unlike_detail: float  # largest piece (share of the patch) without the detail of the others
     evenness: float | None = None  # 0: light falls off as a flash's, 1: it is even; None: not measured
-    masked: float = 0.0  # share of the patch behind its mask or outside; the other numbers are of the rest
+    masked: float = 0.0  # share of the patch masked or outside; other shares, except overlap, are of the rest
 
 
 def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, overlap: Mapping[str, float],
                     evenness: Mapping[str, float] | None = None, measured: Tensor | None = None,
                     log_exposure: Mapping[str, float] | None = None) -> list[PhotoQuality]:
-    """Numbers of each photo beside the others.
+    """The quality of each photo, compared with the others.
 
     Args:
         photos: N x R x R x 3 display values in [0, 1], rectified; a comparison needs N >= 3.
-        views: those of the photos; places and powers of lights need only be roughly right.
-        overlap: see :class:`PhotoQuality`, by name in the order of the photos; so are ``evenness``, and
-            ``log_exposure``, the natural logarithms of exposures that the powers of lights hold already.
-        measured: N x R x R, False where photos are made up; None: nowhere.
+        views: views of the photos; positions and powers of lights need only be roughly right.
+        overlap: name to overlap (:class:`PhotoQuality`), in the order of photos. ``evenness``: likewise.
+            ``log_exposure``: name to natural logarithm of the exposure, which the powers of lights include.
+        measured: N x R x R, False where photos were filled in; None: nowhere.
     """
     shows = torch.ones_like(photos[..., 0], dtype=torch.bool) if measured is None else measured
     side = min(RADIANCE_SIDE, photos.shape[1])
@@ -88,14 +88,14 @@ def photo_qualities(photos: Tensor, views: Views, transfer: color.Transfer, over
 
 
 def _sharpness(luminance: np.ndarray, plain: np.ndarray) -> np.ndarray:
-    """Detail of N x S x S display values in the direction that has least, over the median photo's: N.
+    """Detail of N photos (N x S x S display values) over the median photo's, in the direction with the least.
 
     A moving hand removes detail only along its path. At the ``plain`` texels, second differences over 4
     texels are divided by the geometric mean of those over 16 and of brightness (either alone differs more
     between real photos of a relief).
     """
     plain = plain.copy()
-    # differences reach over the rim
+    # at the rim, differences would wrap around
     plain[:, :16] = plain[:, -16:] = plain[:, :, :16] = plain[:, :, -16:] = False
     fine, coarse, level = (np.stack([cv2.GaussianBlur(image, (0, 0), width) for image in luminance])
                            for width in (1, 3, 24))

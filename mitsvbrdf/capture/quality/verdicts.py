@@ -1,6 +1,6 @@
 """Which photos are rejected, and why: verdicts on their quality.
 
-A photo is rejected where it would do harm: highlights, falloff, shadows of a relief and the softness of a
+A photo is rejected only if it would do harm. Highlights, falloff, shadows of a relief and the softness of a
 slanted view are no reasons.
 
 Limits were measured on 108 photos of twelve materials. None of these photos is bad; the comment of each
@@ -20,24 +20,24 @@ from .photo_quality import PhotoQuality, detail_of
 
 LEAST_OVERLAP = 0.95  # of the patch; texels beyond a photo's edge are filled in from the others
 MOST_CLIPPED = 0.4  # of the patch; 0.22
-# of the median photo's; 0.57. Simulated photos of four materials by a hand that moved: 0.33 to 0.47
+# of the median photo's; 0.57. Simulated photos of four materials with a moving hand: 0.33 to 0.47
 LEAST_SHARPNESS = 0.52
 # pixels a side; with fewer, LEAST_SHARPNESS falls in proportion: to 0.26 at 128, where real photos have 0.37
 ENOUGH = 256
 MOST_STOPS = 1.6  # brighter or darker than the others; 1.2
 # of the patch, in one piece; 0.18 and 0.14, with a highlight on metal 0.21. A finger over half of the
-# patch: 0.28 to 0.52, and 0.35 to 0.39 where it has the colour of the material
+# patch: 0.28 to 0.52, and 0.35 to 0.39 if it has the colour of the material
 UNLIKE, UNLIKE_DETAIL = 0.25, 0.28
 # of evenness (0: falls off as a flash's light does, 1: even); 0.65. Simulated photos without flash: 0.99
 MOST_EVENNESS = 0.8
-# detail of a whole photo, beside others; simulated blurred ones have 0.29 to 0.35, unrelated ones 0.63
+# detail of a whole photo over that of others; simulated blurred photos: 0.29 to 0.35, unrelated ones: 0.63
 LEAST_DETAIL = 0.45
 SAME_PLACE, SAME_PICTURE = 0.05, 0.02  # patch sides, mean difference of display values; 0.135 and 0.035
 
 
 def _reason(photo: PhotoQuality, qualities: Sequence[PhotoQuality], side: int,
             fired: Mapping[str, str]) -> tuple[str, bool] | None:
-    """The first reason to reject a photo, and whether the photo may mislead the poses of all; or None."""
+    """The first reason to reject a photo, and whether it may have made all poses wrong; None: no reason."""
     if fired.get(photo.name) == "off" and any(fired.get(each.name) == "fired" for each in qualities):
         return "taken without flash (says its EXIF)", False
     if photo.overlap < LEAST_OVERLAP:
@@ -62,10 +62,10 @@ def _reason(photo: PhotoQuality, qualities: Sequence[PhotoQuality], side: int,
 
 def judge(found: Sequence[PhotoQuality], photos: Tensor, views: Views, fired: Mapping[str, str]
           ) -> tuple[dict[str, str], bool]:
-    """The reason, by name, of each photo that is rejected; and whether poses found with it may be wrong.
+    """A dict: name of each rejected photo to the reason; and whether they may have made the poses wrong.
 
-    ``found`` are the qualities of the photos (N x R x R x 3 display values). ``fired``: "fired" or "off" by
-    name, as EXIF says of the flash.
+    ``found``: the quality of each of ``photos`` (N x R x R x 3 display values). ``fired``: name to "fired" or
+    "off", the flash in EXIF.
     """
     rejected, misled = dict[str, str](), False
     for photo in found:
@@ -76,7 +76,7 @@ def judge(found: Sequence[PhotoQuality], photos: Tensor, views: Views, fired: Ma
 
 def _twice(found: Sequence[PhotoQuality], photos: Tensor, views: Views,
            rejected: Collection[str]) -> dict[str, str]:
-    """The reason, by name, for each photo not rejected yet that shows the same as an earlier one."""
+    """A dict: name to reason, for each photo not rejected yet that shows the same as an earlier one."""
     small, camera = resized(photos, min(64, photos.shape[1])), views.in_patch_sides().camera
     again = dict[str, str]()
     for i, photo in enumerate(found):
@@ -90,7 +90,7 @@ def _twice(found: Sequence[PhotoQuality], photos: Tensor, views: Views,
 
 def blurred(photos: Sequence[Photo], reasons: Mapping[str, str],
             others: Collection[np.ndarray]) -> dict[str, str]:
-    """A better reason for photos without a pose that are blurred compared with ``others``, which have one."""
+    """A dict: name to a better reason, for photos without a pose that are blurrier than ``others``."""
     usual = float(np.median([detail_of(pixels) for pixels in others]))
     sharpness = {photo.name: detail_of(photo.pixels(LONG_SIDE)) / usual for photo in photos}
     return {name: f"blurred: {sharp:.2f} times as sharp as the others ({reasons[name]})"

@@ -1,1 +1,1 @@
-"""Fits by a generator: the hybrid method, the paper's GAN, and plausible detail."""
+"""Fits that train a generator: the hybrid method, the paper's GAN, and plausible detail."""

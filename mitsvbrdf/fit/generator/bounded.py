@@ -1,4 +1,4 @@
-"""Solved maps that a generator may change, in each texel as far as the fit is unsure of it."""
+"""Solved maps that a generator may change: the less certain a texel's value, the further."""
 
 from __future__ import annotations
 
@@ -18,24 +18,24 @@ STEEPEST = 0.95  # largest length of (x, y) of a changed normal, unless that of 
 
 @dataclass(frozen=True, eq=False)
 class Bounded:
-    """Where a change starts and how far it may go."""
+    """The solved maps, and the largest change of each value."""
 
     svbrdf: SVBRDF  # the solved maps, R x R
     views: Views  # as solved
-    bounds: Mapping[str, Tensor]  # by map, the largest change of its numbers_of, R x R x C
+    bounds: Mapping[str, Tensor]  # map name to the largest change of its numbers_of, R x R x C
 
     @staticmethod
     def of(svbrdf: SVBRDF, views: Views, deviations: Mapping[str, Tensor], reach: float,
            certain: float = 0.0) -> Bounded:
-        """Bounds: ``reach`` times the part of each standard deviation (r x r x C) above ``certain``."""
+        """A bound is ``reach`` times the part of the standard deviation (r x r x C) above ``certain``."""
         return Bounded(svbrdf, views, {
             name: reach * (resized(spread, svbrdf.resolution) - certain).clamp_min(0)
             for name, spread in deviations.items()})
 
     def moved(self, change: Mapping[str, Tensor], share: float = 1.0) -> SVBRDF:
-        """The maps with a share of their change; where the bound is 0, exactly the solved value.
+        """The solved maps plus a share of their change. Values with bound 0 stay exactly as solved.
 
-        ``change`` is C x R x R; its Tanh is the fraction of the bound by which a map changes.
+        ``change``: map name to C x R x R; its Tanh times the bound is the change.
         """
         maps = dict(self.svbrdf.maps)
         for name, value in change.items():

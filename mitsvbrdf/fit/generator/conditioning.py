@@ -1,4 +1,4 @@
-"""A capture at the resolution of a phase: what the generator sees, and the start that it adds to."""
+"""A capture at the resolution of a training phase: the generator's input, and the start that it changes."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -19,11 +19,11 @@ from .pictures import WHOLE, Window
 
 
 class Conditioning:
-    """What one phase of the training works on: its photos, area-averaged to the side of the maps.
+    """Data of one phase of the training: photos, guess and maps, area-averaged to its resolution.
 
     Args:
-        start: the material to start from, at full size; None: zeros as the input of Tanh.
-        carried: what earlier phases added to the start, before Tanh, by map: C x r x r, of any side r.
+        start: the material to start from, at full size; None: start at 0, before Tanh.
+        carried: the change by earlier phases, before Tanh: map name to C x r x r, with any r.
     """
 
     def __init__(self, task: FitTask[GanConfig], capture: Capture, resolution: int, streams: Streams,
@@ -38,7 +38,7 @@ class Conditioning:
         self.condition = condition_of(self.capture, self.guess)
 
     def units(self, change: Mapping[str, Tensor], window: Window = WHOLE) -> dict[str, Tensor]:
-        """Maps in (-1, 1), C x R x R: Tanh of the sum of start, carried change and ``change`` of a crop."""
+        """Maps of a crop in (-1, 1), C x R x R: Tanh of start + carried change + ``change``."""
         found = {}
         for name, value in change.items():
             for known in (self.start, self.carried):
@@ -48,20 +48,20 @@ class Conditioning:
 
 
 def condition_of(capture: Capture, guess: Tensor) -> Tensor:
-    """Input of a generator of all photos, 1 x C x R x R in -1 to 1: photos, clipped pixels, the guess."""
+    """Input of AllPhotosGenerator, 1 x C x R x R in [-1, 1]: photos, clipped pixels, diffuse guess."""
     photos = capture.photos.permute(0, 3, 1, 2)
     clipped = (photos >= CLIPPED).any(dim=1).float()
     return torch.cat((photos.flatten(0, 1), clipped, color.encode(guess).permute(2, 0, 1)))[None] * 2 - 1
 
 
 def level(change: dict[str, Tensor]) -> dict[str, Tensor]:
-    """The change without its mean tilt, which would hide the flash offset: the patch lies flat in z = 0."""
+    """The change without its mean tilt: the patch is flat in z = 0, and a tilt looks like a flash offset."""
     if "normal" not in change:
         return change
     return change | {"normal": change["normal"] - change["normal"].mean(dim=(1, 2), keepdim=True)}
 
 
 def with_flash_at(views: Views, offset: Tensor) -> Views:
-    """The views with all lights moved sideways by x and y in patch sides; the offset may carry gradients."""
+    """The views with all lights moved by ``offset`` (x, y in patch sides), through which gradients pass."""
     whole = torch.cat((offset, torch.zeros(1, dtype=torch.float64))) * views.size
     return replace(views, light=views.light + whole)

@@ -1,12 +1,12 @@
-"""Plausible detail: one random draw of what no photo shows, for pictures. The solved maps stay.
+"""Plausible detail: one random draw of what no photo shows, for pictures. The solved maps do not change.
 
-Where no photo shows a highlight, the maps hold expected values, or the solver's last ones. A rendering under
-a new light shows this and does not look like a photo. A small generator starts at the solved maps and changes
-each texel within a bound from the standard deviation of the fit. The renderer of the fit renders the changed
-maps under novel lights (:mod:`.novel_lights`). Two criteria compare renderings with photos of other pieces of
+If no photo shows a texel's highlight, its maps are expected values or the last ones of the solver. A
+rendering under a new light then does not look like a photo. A small generator changes the solved maps, each
+value within a bound from its standard deviation in the fit. The fit's renderer renders the changed maps
+under novel lights (:mod:`.novel_lights`). Two criteria compare renderings with photos of other pieces of
 the material under the same light (:mod:`.highlight_discriminator`): a relativistic discriminator, which
-also sees the half vectors and the diffuse part, and the distance of projected patches. Two further losses
-hold the maps near the photos seen and near the solved diffuse map.
+also sees the half vectors and the diffuse part, and the distance between projected patches. Two more losses
+keep the renderings near the photos seen, and the diffuse map near the solved one.
 """
 
 import time
@@ -39,17 +39,17 @@ from .novel_lights import NovelLight, draw, novel_views
 WHAT = ("detail/ is one plausible draw of what no photo shows, for pictures; maps/ holds the expected "
         "values, for validation, and is the same with and without it")
 NOISE = 4  # channels of noise that the generator sees
-VIEW_SCALE = 10.0  # brings 1 - z of half vectors, some hundredths, to the size of display values
-SHARES = (1.0, 0.85, 0.7, 0.55, 0.4, 0.25, 0.1, 0.0)  # of the generator's change that are tried
+VIEW_SCALE = 10.0  # scales 1 - z of half vectors (some hundredths) to the size of display values
+SHARES = (1.0, 0.85, 0.7, 0.55, 0.4, 0.25, 0.1, 0.0)  # of the generator's change, tried in this order
 
 
 @entry(gradients=True)
 def with_detail(result: Fit, capture: Capture, renderer: Renderer, config: DetailConfig | None = None,
                 report: Report = lambda text, share: None) -> Fit:
-    """A fit with plausible detail beside its maps, which stay the same; ``capture`` holds its photos.
+    """A fit with plausible detail beside its unchanged maps. ``capture``: the photos of the fit.
 
-    The fit returned is a copy with ``detail`` and ``detail_record``. After Ctrl-C, and where :func:`why_not`
-    gives a reason, the given fit is returned. ConfigError: settings out of range.
+    Returns a copy of the fit with ``detail`` and ``detail_record``. After Ctrl-C, or if :func:`why_not` gives
+    a reason, returns the given fit itself. ConfigError: settings out of range.
     """
     config = config or DetailConfig()
     config.check()
@@ -73,7 +73,7 @@ def with_detail(result: Fit, capture: Capture, renderer: Renderer, config: Detai
 
 
 def why_not(result: Fit) -> str | None:
-    """Why a fit can have no plausible detail; None where it can."""
+    """The reason why a fit cannot have plausible detail; None if it can."""
     if result.stopped == "interrupted":
         return "the fit was interrupted"
     if not result.deviations:
@@ -87,7 +87,7 @@ def why_not(result: Fit) -> str | None:
 
 
 class DetailTraining(Trained):
-    """Steps of the training, from solved maps that may change within their bounds."""
+    """Steps of the training. The solved maps are the start; they may change within their bounds."""
 
     def __init__(self, bounded: Bounded, capture: Capture, renderer: Renderer, config: DetailConfig) -> None:
         self.capture, self.renderer, self.config, self.bounded = capture, renderer, config, bounded
@@ -114,7 +114,7 @@ class DetailTraining(Trained):
         self.matte_photos = self._shown(self.matte, self.views)
 
     def weakened(self, worst: float) -> tuple[float, SVBRDF, tuple[Tensor, float, list[float]]]:
-        """The largest share of the change with RMSE up to ``worst``; the maps with it; their re-rendering."""
+        """The largest of SHARES with RMSE up to ``worst`` (else 0), its maps, :func:`rerender` of these."""
         for share in SHARES:
             detail = self.material(share).map(Tensor.contiguous)
             met = rerender(self.renderer, detail, self.views, self.capture)
@@ -123,15 +123,15 @@ class DetailTraining(Trained):
         return share, detail.check(), met
 
     def material(self, share: float = 1.0) -> SVBRDF:
-        """The present maps with a share of their change; where the bound is 0, exactly the solved value."""
+        """The solved maps plus a share of the present change. Values with bound 0 stay exactly as solved."""
         return self.bounded.moved(self.change(), share)
 
     def change(self) -> dict[str, Tensor]:
-        """The present change of the maps, C x R x R; Tanh of it is the share of the bounds."""
+        """Present output of the generator: map name to C x R x R. Its Tanh times the bound is the change."""
         return self.generator(self.condition)
 
     def step(self, progress: float) -> dict[str, float]:
-        """One step of both networks at this share (0 to 1) of the run; returns the losses before it."""
+        """One step of both networks; returns the losses before it. ``progress``: 0 to 1, share of the run."""
         config = self.config
         self.optimizer.param_groups[0]["lr"] = self.pace * config.learning_rate * cosine(progress)
         self.adversary.param_groups[0]["lr"] = self.pace * config.discriminator_rate * cosine(progress)
@@ -171,7 +171,7 @@ class DetailTraining(Trained):
 
     @property
     def parts(self) -> dict[str, Held]:
-        """Random numbers, and the networks with their averages."""
+        """Random numbers, the networks, and their optimisers."""
         return {"random": self.random, "generator": self.generator, "slow": self.optimizer,
                 "judge": self.discriminator, "fast": self.adversary}
 
@@ -190,12 +190,12 @@ def matte(svbrdf: SVBRDF) -> SVBRDF:
 
 
 def joined(first: Views, second: Views) -> Views:
-    """Two sets of views of one patch as one, the first ones first."""
+    """Two sets of views of one patch, joined in this order."""
     return replace(first, camera=torch.cat((first.camera, second.camera)),
                    light=torch.cat((first.light, second.light)),
                    intensity=torch.cat((first.intensity, second.intensity)))
 
 
 def _input(picture: Tensor, matte: Tensor, angles: Tensor) -> Tensor:
-    """Input of the discriminator, N x 8 x H x W: picture and diffuse part in display values, half vectors."""
+    """Input of the discriminator, N x 8 x H x W: picture and diffuse part in [-1, 1], half vectors."""
     return torch.cat((2 * picture - 1, 2 * matte - 1, angles), dim=-1).permute(0, 3, 1, 2)

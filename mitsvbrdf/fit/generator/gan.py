@@ -1,4 +1,4 @@
-"""``gan``, the paper's method: renderings of the generated maps have to pass for the photos.
+"""``gan``, the paper's method: a discriminator compares renderings of the generated maps with the photos.
 
 The paper's presets and ours are the same code; each ingredient is a setting of
 :class:`mitsvbrdf.fit.GanConfig`. The paper leaves some details open. Here the encoder is trained with the
@@ -28,7 +28,7 @@ from .pictures import Pictures, PictureSource, seen_through
 
 
 class Gan(Method[GanConfig]):
-    """Steps of the training (III.F). ConfigError: the pretrained checkpoint is of another size or kind."""
+    """Training (paper, III.F). ConfigError: the pretrained checkpoint is of another size or kind."""
 
     def __init__(self, task: FitTask[GanConfig]) -> None:
         super().__init__(task)
@@ -73,7 +73,7 @@ class Gan(Method[GanConfig]):
                            for name, some in groups.items() if some}
 
     def step(self, progress: float) -> dict[str, float]:
-        """One step of the discriminator, then of the generator; its normal/roughness decoder may repeat."""
+        """One discriminator step, then one of the generator; its normal/roughness decoder may do several."""
         self._enter_phase(progress)
         for name, optimizer in self.optimizers.items():
             optimizer.param_groups[0]["lr"] = self._rate(name)
@@ -86,7 +86,7 @@ class Gan(Method[GanConfig]):
         return logged | {"phase": float(self.phase)}
 
     def _enter_phase(self, progress: float) -> None:
-        """Begin the phase that is due, never an earlier one: a run may be resumed with a higher limit."""
+        """Begin the phase at ``progress``, never an earlier one: a resumed run may have a higher limit."""
         begins = list(itertools.accumulate((phase.share for phase in self.phases[:-1]), initial=0.0))
         present = max(number for number, begin in enumerate(begins) if progress >= begin)
         if present > self.phase:
@@ -119,7 +119,7 @@ class Gan(Method[GanConfig]):
             logged["gradient"] = logged.get("gradient", 0.0) + gradient
 
     def _material(self, pictures: Pictures, first: bool = True) -> SVBRDF:
-        """The generated maps; in later substeps only normal and roughness carry gradients."""
+        """The generated maps; in later substeps only normal and roughness have gradients."""
         change = self._out(pictures, first)
         fixed = {name: value[pictures.window] for name, value in self.scale.fixed.items()}
         return from_units(self.config.bsdf, self.scale.units(change, pictures.window), fixed)
@@ -143,11 +143,11 @@ class Gan(Method[GanConfig]):
         return pictures.of(rendered.float())  # the networks are float32, analytic64 is not
 
     def _told(self, pictures: Pictures) -> Tensor | None:
-        """The photo that the discriminator sees beside a picture; None where it sees none."""
+        """The photos, as a second input of the discriminator, in [-1, 1]; None if it has no second input."""
         return pictures.shown * 2 - 1 if self.config.paired else None
 
     def _verdict(self, shown: Tensor, fake: Tensor, told: Tensor | None) -> tuple[Tensor, dict[str, float]]:
-        """Sum and values of the generator's losses, from the discriminator's output for the renderings."""
+        """Weighted sum and values of the generator's losses that use the discriminator."""
         seen = self.discriminator.activations(fake, told)
         with torch.no_grad():
             real = (self.discriminator.activations(shown, told)
@@ -167,7 +167,7 @@ class Gan(Method[GanConfig]):
             return maps.map(Tensor.contiguous), self._views()
 
     def _change(self) -> dict[str, Tensor]:
-        """What the generator adds to the start now, before Tanh, at the resolution of the phase."""
+        """The present change to the start, before Tanh, at the resolution of the phase."""
         with torch.no_grad():
             out = self._out(self.source.whole())
             return {name: value + self.scale.carried[name] if self.scale.carried else value
@@ -175,7 +175,7 @@ class Gan(Method[GanConfig]):
 
     @property
     def parts(self) -> dict[str, Held]:
-        """Random numbers, the flash offset, and the networks of the phase."""
+        """Random numbers, the flash offset, and the networks and optimisers of the phase."""
         return {"random": self.random, "offset": self.offset, "generator": self.generator,
                 "discriminator": self.discriminator, **self.optimizers}
 
@@ -192,7 +192,7 @@ class Gan(Method[GanConfig]):
 
 def make_generator(config: GanConfig, streams: Streams,
                    inputs: int) -> AllPhotosGenerator | TwoStreamGenerator:
-    """A generator with the weights of its seed, or of a checkpoint of ``--pretrain`` or of a ``gan`` fit.
+    """A generator with the weights of its seed, or those of a checkpoint (``--pretrain`` or ``gan`` fit).
 
     ConfigError: no checkpoint, or one of another width or parameter set.
     """

@@ -1,4 +1,4 @@
-"""What tells renderings from photos: a small discriminator, and random projections of patches."""
+"""Two ways to compare renderings with photos: a small discriminator, and random projections of patches."""
 
 import torch
 import torch.nn.functional as F
@@ -9,7 +9,7 @@ DIRECTIONS = 64
 
 
 class HighlightDiscriminator(nn.Module):
-    """A patch discriminator. Layer 1 has no norm, so it sees levels; layers 2 and 3 have instance norm."""
+    """A patch discriminator. Layer 1 has no norm, so brightness counts; layers 2 and 3 have instance norm."""
 
     def __init__(self, inputs: int, width: int = 32) -> None:
         super().__init__()
@@ -20,21 +20,21 @@ class HighlightDiscriminator(nn.Module):
             nn.Conv2d(4 * w, 1, 3, padding=1))
 
     def forward(self, pictures: Tensor) -> Tensor:
-        """Logits N x 1 x h x w, one for each patch, of N x inputs x H x W; only differences count."""
+        """Logits N x 1 x h x w of the patches of N x inputs x H x W; only differences of logits matter."""
         return self.layers(pictures)
 
 
 def patch_distance(rendered: Tensor, photos: Tensor, angle: Tensor, random: torch.Generator,
                    bins: int = 3) -> Tensor:
-    """Sliced Wasserstein-1 distance of patches of paired pictures, among those of similar half-vector angle.
+    """Sliced Wasserstein-1 distance between the patches of paired pictures, in groups by half-vector angle.
 
     Args:
         rendered, photos: N x H x W x 3, H and W at least :data:`PATCH`.
-        angle: N x H x W, the same for both of a pair: any number that orders pixels by half-vector angle.
-        random: where the projections are drawn from, anew in each call.
-        bins: how many equally large parts the patches of a pair are sorted into by angle.
+        angle: N x H x W, one for both pictures of a pair: any number that grows with the half-vector angle.
+        random: draws new projections in each call.
+        bins: number of groups, of equal size, into which the patches of a picture are sorted by angle.
 
-    Source: Heitz et al. 2021, "A Sliced Wasserstein Loss for Neural Texture Synthesis", here of patches
+    Source: Heitz et al. 2021, "A Sliced Wasserstein Loss for Neural Texture Synthesis", here on patches
     instead of features.
     """
     directions = F.normalize(torch.randn(PATCH * PATCH * 3, DIRECTIONS, generator=random), dim=0)

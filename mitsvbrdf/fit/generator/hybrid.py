@@ -24,11 +24,11 @@ from ..task import FitTask
 from .conditioning import condition_of, level, with_flash_at
 from .networks import AllPhotosGenerator, PatchDiscriminator, seeded
 
-PATCH = 128  # side of the crops the discriminator compares
+PATCH = 128  # side in pixels of the crops that the discriminator compares
 
 
 class Hybrid(Method[HybridConfig]):
-    """Steps of the hybrid method; the renderer carries gradients, for a flash offset also to the lights."""
+    """Steps of the hybrid method. Gradients pass through the renderer to maps and flash offset."""
 
     def __init__(self, task: FitTask[HybridConfig]) -> None:
         super().__init__(task)
@@ -74,7 +74,7 @@ class Hybrid(Method[HybridConfig]):
         return values | logged | {"gradient": descend(total, self.optimizer)}
 
     def estimate(self) -> tuple[SVBRDF, Views]:
-        """The maps that the generator makes now, and the views with the flash offset found."""
+        """The present maps of the generator, and the views with the fitted flash offset."""
         with torch.no_grad():
             return self._material().map(Tensor.contiguous), self._views()
 
@@ -96,7 +96,7 @@ class Hybrid(Method[HybridConfig]):
 
     @property
     def parts(self) -> dict[str, Held]:
-        """The networks, the flash offset, and random numbers."""
+        """The networks, their optimisers, the flash offset, and random numbers."""
         plays: dict[str, Held] = {} if "adversarial" in self.unused else {
             "discriminator": self.discriminator, "judge": self.adversary}
         return {"generator": self.generator, "optimizer": self.optimizer, "offset": self.offset,

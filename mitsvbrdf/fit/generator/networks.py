@@ -34,8 +34,8 @@ class TwoStreamGenerator(nn.Module):
 
     Encoder: 5 convolutions (three of them halve the size). Decoder ``normal_roughness``: 1 convolution and 3
     deconvolutions; decoder ``diffuse_specular``: 3 deconvolutions. Instance norm and leaky ReLU follow every
-    layer but a decoder's last. Tanh follows the last layer; :mod:`.conditioning` applies it, and may add a
-    start before it. A decoder without maps is not built. With ``change`` the last layers begin at zero,
+    layer except a decoder's last. There, :mod:`.conditioning` applies Tanh, to the output or to the sum of a
+    start and the output. A decoder without maps is not built. With ``change`` the last layers begin at zero,
     because their output is a change to a start (ours).
     """
 
@@ -69,11 +69,11 @@ class TwoStreamGenerator(nn.Module):
                 nn.ConvTranspose2d(2 * w, channels, 4, stride=2, padding=1)]
 
     def encode(self, photo: Tensor) -> Tensor:
-        """The features from which both decoders start, of a photo 1 x 3 x R x R in display values."""
+        """Features of a photo 1 x 3 x R x R in display values: the input of both decoders."""
         return self.encoder(pad_to_multiple(photo * 2 - 1, 8))
 
     def decode(self, stream: int, code: Tensor, size: int) -> dict[str, Tensor]:
-        """Unbounded maps of one stream (0: normal and roughness, 1: the others), C x size x size, by name."""
+        """Unbounded maps of stream 0 (normal, roughness) or 1 (the others): map name to C x size x size."""
         decoder = (self.normal_roughness, self.diffuse_specular)[stream]
         if decoder is None:
             return {}
@@ -99,7 +99,7 @@ class PatchDiscriminator(nn.Module):
     def activations(self, image: Tensor, told: Tensor | None = None) -> list[Tensor]:
         """The output of each layer for display values N x 3 x R x R and channels ``told`` N x C x R x R.
 
-        ``told`` is taken as it is. The last output holds the logits of the patches.
+        ``told`` is not rescaled. The last output is the logits of the patches.
         """
         x = pad_to_multiple(image * 2 - 1 if told is None else torch.cat((image * 2 - 1, told), dim=1), 16)
         found = []
@@ -110,7 +110,7 @@ class PatchDiscriminator(nn.Module):
 
     def learn(self, photos: Tensor, renderings: Tensor, optimizer: torch.optim.Optimizer, game: Game = "bce",
               told: Tensor | None = None) -> float:
-        """One step of training; returns the loss before it, NaN where no step was made."""
+        """One step of training. Returns the loss before the step; NaN if no step was made."""
         both = torch.cat((photos, renderings)), None if told is None else torch.cat((told, told))
         real, fake = self.activations(*both)[-1].chunk(2)
         loss = losses.discriminator(real, fake, game)
@@ -118,10 +118,10 @@ class PatchDiscriminator(nn.Module):
 
 
 class AllPhotosGenerator(nn.Module):
-    """Generator of hybrid, gan and detail: encoder of all photos, two decoders with skips, change to a start.
+    """Generator of hybrid, gan and detail: one encoder, two decoders with skips; the output changes a start.
 
-    The maps are ``start + change`` before Tanh; the last layers begin at zero if ``change``, so that training
-    begins at the start. ``inputs`` are the channels of the condition, ``width`` those of the finest level.
+    With ``change`` the last layers begin at zero, so that training begins at the start. ``inputs``: number of
+    channels of the condition; ``width``: number of channels of the finest level.
     """
 
     def __init__(self, inputs: int, streams: Streams = STREAMS["roughconductor"], width: int = 16,
@@ -148,7 +148,7 @@ class AllPhotosGenerator(nn.Module):
         return nn.ModuleList([*layers, nn.Conv2d(widths[0], channels, 1)])
 
     def forward(self, condition: Tensor) -> dict[str, Tensor]:
-        """The change of each map before Tanh, by name, C x R x R; the condition is 1 x inputs x R x R."""
+        """The change before Tanh: map name to C x R x R. The condition is 1 x inputs x R x R."""
         size = condition.shape[-1]
         levels = [pad_to_multiple(condition, 16)]
         for layer in self.down:
@@ -170,7 +170,7 @@ def zero(layer: nn.Module) -> None:
 
 
 def pad_to_multiple(image: Tensor, factor: int) -> Tensor:
-    """The image padded with its border to a multiple of ``factor``, at least twice it (instance norm)."""
+    """The image padded with its border to 2, 3, ... times ``factor``; instance norm needs at least 2."""
     bottom, right = (max(-(-side // factor), 2) * factor - side for side in image.shape[-2:])
     return F.pad(image, (0, right, 0, bottom), mode="replicate")
 

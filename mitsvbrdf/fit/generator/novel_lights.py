@@ -1,4 +1,4 @@
-"""Lights that no photo had, and the crops of photos to compare their renderings with.
+"""Lights that no photo had, and the crops of photos with which renderings under these lights are compared.
 
 A novel light is the camera and the flash of a photo, both shifted sideways by whole texels. Half vectors,
 distances and exposure at a shifted place equal those of the photo at the original place, to the bit. A
@@ -14,14 +14,14 @@ from torch import Tensor
 from ...views import Views
 
 BEYOND = 0.1  # how far a moved camera may leave the rectangle of the cameras, as a share of its sides
-JITTER = 0.12  # standard deviation of the middle of a crop from the highlight, patch sides
+JITTER = 0.12  # standard deviation of a crop's middle around the highlight, in patch sides
 
 
 @dataclass(frozen=True)
 class NovelLight:
     """Camera and light of a photo, both shifted over the patch, and the crop to compare."""
 
-    photo: int  # its row
+    photo: int  # its row in the capture
     down: int  # texels by which camera and light are shifted down
     right: int  # the same to the right
     row: int  # first row of the crop under the novel light; in the photo it is ``row - down``
@@ -32,20 +32,20 @@ class NovelLight:
         return picture[self.row:self.row + side, self.column:self.column + side]
 
     def in_photo(self, picture: Tensor, side: int) -> Tensor:
-        """The crop of a picture in the photo's own view that has the same half vectors."""
+        """The crop with the same half vectors, of a picture in the photo's own view."""
         row, column = self.row - self.down, self.column - self.right
         return picture[row:row + side, column:column + side]
 
 
 def draw(views: Views, albedo: Tensor, side: int, tries: int, random: torch.Generator) -> NovelLight:
-    """A random light among the cameras (up to half a side from a single one), and a crop near its highlight.
+    """A random light near the cameras (about half a side from a single one), and a crop near its highlight.
 
-    ``side``: texels a side of each crop. Of ``tries`` random lights, the chosen one has the two crops that
-    look most alike in the albedo, R x R x 3 display values.
+    ``side``: texels a side of each crop. ``albedo``: R x R x 3 display values. Of ``tries`` random lights,
+    the one is chosen whose two crops differ least in the albedo.
     """
     resolution, sides = albedo.shape[0], views.in_patch_sides()
     camera, middle = sides.camera[:, :2], (sides.camera + sides.light)[:, :2] / 2
-    one = 0.5 * (len(views) == 1)  # of a material that repeats itself
+    one = 0.5 * (len(views) == 1)  # only used for a material that repeats itself
     low, high = camera.min(dim=0).values - one, camera.max(dim=0).values + one
     photo = int(torch.randint(len(views), (), generator=random))
     found: list[tuple[float, NovelLight]] = [(torch.inf,
@@ -58,7 +58,7 @@ def draw(views: Views, albedo: Tensor, side: int, tries: int, random: torch.Gene
         rows, columns = (range(max(0, shift), min(resolution - side, resolution - side + shift) + 1)
                          for shift in (-up, right))
         if not rows or not columns:
-            continue  # carried so far that the two crops have no room
+            continue  # shifted so far that the two crops have no room
         row = min(max(round(resolution / 2 - (y + up) - side / 2), rows[0]), rows[-1])
         column = min(max(round(resolution / 2 + x + right - side / 2), columns[0]), columns[-1])
         moved = NovelLight(photo, -up, right, row, column)
@@ -68,7 +68,7 @@ def draw(views: Views, albedo: Tensor, side: int, tries: int, random: torch.Gene
 
 
 def novel_views(views: Views, lights: list[NovelLight], resolution: int) -> Views:
-    """The views of novel lights: one for each, in their order."""
+    """One view for each novel light, in the same order."""
     picked = views.pick([each.photo for each in lights])
     shift = (torch.tensor([[each.right, -each.down, 0] for each in lights], dtype=torch.float64) / resolution
              * views.size)

@@ -1,4 +1,4 @@
-"""What the discriminator compares: photos or blends of two (III.F), and renderings blended the same way."""
+"""Input of the discriminator: photos or blends of two (paper, III.F), and renderings blended the same way."""
 
 from dataclasses import dataclass, replace
 
@@ -15,27 +15,27 @@ WHOLE = slice(None), slice(None)
 
 @dataclass(frozen=True)
 class Pictures:
-    """Photos or blends, and how renderings of their views become pictures to compare with them."""
+    """Photos or blends of photos; :meth:`of` makes the same pictures from renderings."""
 
     shown: Tensor  # the pictures, P x 3 x R x R in display values
-    index: Tensor  # numbers of the K photos in the capture
-    weights: Tensor  # P x K, how much of each photo is in each picture, in linear light
-    # least and greatest radiance of renderings: 0 and 1; both are the photo's radiance where it is masked
+    index: Tensor  # rows of the K photos in the capture
+    weights: Tensor  # P x K, weight of each photo in each picture, in linear light
+    # renderings are clamped to these radiances: 0 and 1; at a masked pixel, both are the photo's radiance
     limits: tuple[Tensor, Tensor]  # K x R x R x 3 each
-    window: Window  # the crop of the photos that is shown
-    transfer: color.Transfer  # of the photos
+    window: Window  # the crop of the photos that the pictures show
+    transfer: color.Transfer  # transfer function of the photos
 
     def of(self, rendered: Tensor) -> Tensor:
-        """The same pictures, made of renderings of the views ``index``, linear K x R x R x 3, unclamped.
+        """The same pictures, made from renderings of the K photos: linear K x R x R x 3, not yet clamped.
 
-        Each rendering is clipped and masked like its photo, then blended, so that photos and renderings show
-        the same physics (Bora 2018, AmbientGAN).
+        Each rendering is clipped and masked like its photo, then blended: both are compared after the same
+        measurement (Bora 2018, AmbientGAN).
         """
         return _displayed(rendered.clamp(*self.limits), self.weights, self.transfer)
 
 
 class PictureSource:
-    """Draws pictures from a capture: random crops with ``crop`` texels a side; 0 takes whole photos."""
+    """Draws pictures from a capture: random crops with ``crop`` texels a side; 0: whole photos."""
 
     def __init__(self, capture: Capture, crop: int = 0) -> None:
         self.capture, self.crop = capture, crop
@@ -47,7 +47,7 @@ class PictureSource:
         self.limits = least, highest
 
     def draw(self, count: int, random: torch.Generator) -> Pictures:
-        """``count`` pictures: with equal chance one photo, or two blended with a random weight (III.F)."""
+        """``count`` pictures. Each is, with equal chance, one photo or a blend of two at random weights."""
         photos = len(self.capture)
         order = torch.randperm(photos, generator=random).repeat(2 * count)
         coins = torch.rand(count, 2, generator=random).tolist()
@@ -82,7 +82,7 @@ def _displayed(linear: Tensor, weights: Tensor, transfer: color.Transfer) -> Ten
 
 
 def seen_through(window: Window, views: Views, resolution: int) -> Views:
-    """Views of a crop as a patch of its own (middle, size), cut from one of ``resolution`` texels a side."""
+    """Views of a crop as a patch of its own (middle, size); the whole has ``resolution`` texels a side."""
     if window == WHOLE:
         return views
     (top, bottom), (left, right) = ((each.start, each.stop) for each in window)

@@ -1,13 +1,13 @@
-"""Small symmetric systems in registers: entries are Dr.Jit values, and those that are always 0 are omitted.
+"""Small symmetric systems in registers.
 
-A matrix is a dictionary (i, j) -> value of its lower triangle, i >= j. Every loop here runs while a kernel is
-traced.
+A matrix is a dictionary of its lower triangle, (i, j) -> Dr.Jit value, i >= j. It omits entries that are
+always 0. The loops here run only while a kernel is traced.
 """
 
 from typing import Any
 
-PIVOT = 4  # least pivot, in roundings of its diagonal entry: a smaller one is rounding alone
-TINY = 1e-12  # added to the diagonal, for unknowns of which nothing is known
+PIVOT = 4  # least pivot, in rounding errors of its diagonal entry: a smaller one is rounding alone
+TINY = 1e-12  # added to the diagonal, for unknowns that neither photos nor prior determine
 
 Matrix = dict[tuple[int, int], Any]
 
@@ -32,7 +32,7 @@ def factor(matrix: Matrix, size: int) -> Matrix:
 
 
 def solved(lower: Matrix, right: list) -> list:
-    """X of L L^T x = right."""
+    """The solution x of L L^T x = right; ``lower`` is L."""
     x, size = list(right), len(right)
     for i in range(size):
         x[i] = (x[i] - sum(lower[i, k] * x[k] for k in range(i) if (i, k) in lower)) * lower[i, i]
@@ -42,7 +42,7 @@ def solved(lower: Matrix, right: list) -> list:
 
 
 def inverse_diagonal(lower: Matrix, size: int) -> list:
-    """The diagonal of (L L^T)^-1: of each column of the inverse of L, the sum of its squares."""
+    """The diagonal of (L L^T)^-1: the sums of squares of the columns of L^-1."""
     import drjit as dr
 
     found = []

@@ -1,9 +1,9 @@
-"""What the photos of each texel say about the numbers that it shares, whatever its roughness.
+"""The likelihood of each texel's shared numbers (specular, metallic, roughness) over all roughnesses.
 
 The tails of GGX show only F0 alpha^2. If no photo shows a texel's highlight, a valley of answers explains its
 photos equally well, and a search that starts at the wrong end of the valley stays there. So each texel is
 solved at each of several roughnesses, with all other numbers free (profile likelihood; Murphy and van der
-Vaart 2000). Around each answer, its photos give a Gaussian of the shared numbers (Schur complement).
+Vaart 2000). Around each answer, the likelihood is a Gaussian of the shared numbers (Schur complement).
 """
 
 from typing import NamedTuple
@@ -17,16 +17,16 @@ from .texel_prior import LEAST_PRECISION, TexelEstimate, TexelPrior
 
 WIDTHS = tuple(0.8 / 1.32**k for k in range(13, -1, -1))  # roughnesses; alpha grows by 1.74 a step
 STEPS, OTHERS = 6, 4  # solver steps from each start; other starts of a texel, with half as many steps each
-# in solver steps; learning lobes from the answers takes two or three times as long as the search (9 photos)
+# search and learning of lobes, in solver steps; with 9 photos, learning takes 2 to 3 times as long as search
 SEARCH_STEPS = 4 * 2 * len(WIDTHS) * (2 * STEPS + OTHERS * (STEPS // 2))
-ROUNDING = 1e-5  # of float32 sums over photos: this share of a diagonal is added to keep matrices definite
+ROUNDING = 1e-5  # of float32 sums; a diagonal is raised by this share, so that matrices stay definite
 
 
 class Evidence(NamedTuple):
     """Costs of the photos of M texels around G answers each, as functions of S shared numbers; float64.
 
-    At shared numbers x + d, a texel costs cost + 2 slope d + d curve d: -2 log of its likelihood, with own
-    numbers integrated out (Laplace). A narrow lobe that fits the noise of one pixel is not likelier for it.
+    At shared numbers x + d, a texel costs cost + 2 slope d + d curve d: -2 log of its likelihood, with its
+    other numbers integrated out (Laplace). So a narrow lobe that fits only one pixel's noise gains nothing.
 
     Args:
         x: shared numbers of the answers, G x M x S.
@@ -62,9 +62,9 @@ def searched(solver: TexelSolver, photos: Observations, prior: TexelPrior,
 
 def evidence(solver: TexelSolver, photos: Observations, answer: TexelEstimate, shared: Tensor,
              answers: list[Tensor]) -> Evidence:
-    """What the photos say about the unknowns at S positions ``shared``, around ``answers``, U x R x R each.
+    """The :class:`Evidence` on the unknowns at S positions ``shared``, around ``answers``, U x R x R each.
 
-    The prior of ``answer`` holds for the own numbers of each texel.
+    The other unknowns of each texel have the prior of ``answer``.
     """
     own = torch.tensor([u for u in range(len(answers[0])) if u not in shared.tolist()], dtype=torch.long)
     mean, precision = (t[own].flatten(1).T.double() for t in (answer.mean, answer.precision))

@@ -1,4 +1,4 @@
-"""Stages of exact photos: no lobe where none is needed, else lobes that texels share (multi-start)."""
+"""Stages of exact photos: no lobe if none is needed, else lobes that texels share (multi-start)."""
 
 from functools import cached_property
 
@@ -21,7 +21,7 @@ from .texel_prior import TexelEstimate, TexelPrior
 
 
 class ExactPhotos:
-    """What is special about exact photos, and about photos whose kind is not known yet."""
+    """The steps that only exact photos need, and photos whose kind is not known yet."""
 
     def __init__(self, task: FitTask[HierarchicalConfig], search: Search, seen: ObservationModel) -> None:
         self.task, self.search, self.seen = task, search, seen
@@ -29,7 +29,7 @@ class ExactPhotos:
 
     @property
     def present(self) -> Search:
-        """The present search: without a lobe, once the lobe is omitted."""
+        """The present search: without a lobe, once the photos are found to need none."""
         return self.lobeless if self.seen.stages.matte else self.search
 
     @property
@@ -43,7 +43,7 @@ class ExactPhotos:
         return without_lobe(self.search)
 
     def omit_lobe(self, answer: TexelEstimate) -> tuple[Scale, TexelEstimate] | None:
-        """The answer at full size without a lobe, if the first stage is finished and the photos need none."""
+        """Full-size scale and answer without a lobe; None if photos may need one, or cannot be tested."""
         stages, found = self.seen.stages, None
         asked = stages.exact and stages.finished and may_be_omitted(self.task)
         if asked and self.seen.budget.in_time(decision_work(self.search.scales)):
@@ -53,7 +53,7 @@ class ExactPhotos:
         return found
 
     def at_full_size(self, answer: TexelEstimate, scale: Scale) -> tuple[Scale, TexelEstimate]:
-        """An answer of a coarse scale enlarged."""
+        """The full-size scale, and a coarse answer enlarged to it."""
         fine = self.present.scales.of(Stage.FINE)
         if not (lobes := self.lobes):
             return fine, self.prior.enlarge(answer, scale, fine, tied=False)
@@ -72,9 +72,9 @@ class ExactPhotos:
         return answer
 
     def _measure_noise(self, x: Tensor) -> None:
-        """Learn the noise again: photos that an early answer explains only in part seem too noisy.
+        """Measure the noise again: an early answer explains photos only in part, so noise seemed too high.
 
-        If noise is overestimated, a lobe that the prior prefers wins over one that meets the highlight.
+        If noise is overestimated, texels take a lobe that the prior prefers, not one that fits the highlight.
         """
         some = self.search.scales.of(Stage.MULTI_START)
         svbrdf = some.solver.svbrdf(self.search.scales.sampled(x))

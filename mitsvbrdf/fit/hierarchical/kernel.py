@@ -1,7 +1,7 @@
 """The kernel of the texel solver, written for one texel; Dr.Jit runs one thread for each.
 
-Everything here is traced by Dr.Jit: lists hold a value for each unknown, and each value is an array over all
-texels.
+Dr.Jit traces the kernel: a list has one value for each unknown, and each value is an array over all texels of
+a tile.
 """
 
 import weakref
@@ -23,19 +23,19 @@ from .unknowns import Unknowns, columns_of, pair_of, pairs_of
 EASED, STIFFENED = 0.3, 4.0  # factors of the damping after an accepted and after a refused step
 DAMPING_RANGE = 1e-6, 1e6
 ROUNDING = 1e-5  # relative growth of the cost that does not count: errors are differences of float32
-# a refused step of at most this length means that the texel has converged: the damping stays
+# after a refused step of at most this length, the texel has converged: the damping stays
 STILL = 1e-4
 TILE = 2**18  # texels that are solved at once, so that their arrays stay small
-FREE = 1.0  # largest damping at which a step up to STILL ends the search: damping has not shortened it
+FREE = 1.0  # above this damping, a step up to STILL does not end the search: damping may have shortened it
 
 
 def tile_rows(side: int) -> int:
-    """Rows of a tile."""
+    """Number of rows of a tile of a material with ``side`` texels a side."""
     return min(side, max(1, TILE // side))
 
 
 def tiles(side: int, count: int | None = None) -> list[slice]:
-    """``count`` rows (default: all) in tiles of equal size; the last tile overlaps the one before it."""
+    """Tiles of equal size that cover ``count`` rows (default: all); the last may overlap the one before."""
     count, rows = count or side, tile_rows(side)
     return [slice(first, first + rows) for first in (min(k, count - rows) for k in range(0, count, rows))]
 
@@ -43,12 +43,12 @@ def tiles(side: int, count: int | None = None) -> list[slice]:
 class Kernel:
     """Cost, normal equations and steps of every texel, traced once for a kind of material and scene.
 
-    :attr:`steps`, :attr:`posterior` and :attr:`equations` stand behind the methods of
+    :attr:`steps`, :attr:`posterior` and :attr:`equations` are called by the methods of
     :class:`~mitsvbrdf.fit.hierarchical.solver.TexelSolver`. Their ``problem`` has the Dr.Jit arrays
     ``photos`` (of the tile), ``texels`` (their places, row by row), ``side`` (of the material, in texels),
     ``views`` (cameras, lights, intensities), ``count`` (of the views), ``weight`` (1 / noise^2) and ``fixed``
-    (maps of the tile), and where they are asked for ``scale`` (of the robust cost), ``weights`` (of the
-    tile's pixels) and ``curve`` (behind the response). A tile has ``texels`` texels.
+    (maps of the tile). Optional ones are ``scale`` (s of the robust cost), ``weights`` (of the tile's pixels)
+    and ``curve`` (two numbers of the response curve). The argument ``texels`` is their number in a tile.
     """
 
     def __init__(self, mi: ModuleType, bsdf: Bsdf, unknowns: Unknowns, needs: Needs, texels: int,
@@ -114,12 +114,12 @@ class Kernel:
         return [[cost], slope, curve]
 
     def _matrix(self, curve: list, precision: list) -> cholesky.Matrix:
-        """J^T W J of :attr:`pairs` plus the prior's precision."""
+        """J^T W J, given at :attr:`pairs`, plus the prior's precision."""
         matrix = dict(zip(self.pairs, curve))
         return matrix | {(u, u): matrix[u, u] + p for u, p in enumerate(precision)}
 
     def _linearised(self, problem: dict, x: list, kind: Any = None) -> tuple:
-        """At x, the data cost, J^T W e, and J^T W J by :attr:`pairs`, summed in floats of ``kind``."""
+        """The data cost, J^T W e, and J^T W J at :attr:`pairs`, all at x; summed in floats of ``kind``."""
         import drjit as dr
 
         kind = kind or self.mi.Float
@@ -129,14 +129,14 @@ class Kernel:
         _, cost, slope, curve = dr.while_loop(state, lambda view, *_: view < problem["count"],
                                               texels.add_view, label="views")
         self.shader.release()
-        # The derivatives were by the plugin's inputs; these factors make them derivatives by the unknowns.
+        # Turn derivatives with respect to the plugin's inputs into derivatives with respect to the unknowns.
         by = texels.stretch
         curve = [v * by[i] * by[j] for (i, j), v in zip(self.pairs, curve)]
         return cost, [s * b for s, b in zip(slope, by)], curve
 
 
 class Texels:
-    """The texels at one x, and what each photo says of them there; sums are in floats of ``kind``."""
+    """The texels at one x, rendered and compared with each photo; sums are in floats of ``kind``."""
 
     def __init__(self, kernel: Kernel, problem: dict, x: list, kind: Any) -> None:
         import drjit as dr
@@ -150,7 +150,7 @@ class Texels:
         if "normal" in kernel.unknowns.shapes:
             normal = Vector(*self.maps["normal"], 1)
             self.axes = shading_axes(normal)
-            # As slope k grows, the normal turns towards the tangents by these angles, and directions turn the
+            # Angles, per unit of slope k, by which the normal turns towards the tangents; directions turn the
             # other way.
             self.turns = [tuple(mi.Float(axis[k] / dr.norm(normal)) for axis in self.axes[:2])
                           for k in range(2)]
@@ -175,7 +175,7 @@ class Texels:
         return view + 1, cost + self.kind(part), slope, list(by_pair.values())
 
     def _shown(self, view: Any) -> tuple:
-        """Rendered display values of a view, whether light and camera are above, a seed for each column."""
+        """Display values rendered for a view; whether light and camera are above; a seed for each column."""
         import drjit as dr
 
         kernel = self.kernel
@@ -245,7 +245,7 @@ def chosen(better: Any, new: Any, old: Any) -> Any:
 
 
 def traced_maps(mi: ModuleType, unknowns: Unknowns, x: list, fixed: dict) -> tuple[dict, list]:
-    """The maps as the plugin takes them (unknown normal: its slopes), and their derivatives by unknowns."""
+    """The maps as inputs of the plugin (unknown normal: its slopes), and their derivatives by unknowns."""
     def whole(planes: Sequence) -> Any:
         return mi.Color3f(*planes) if len(planes) == 3 else planes[0]
 
@@ -260,7 +260,7 @@ def traced_maps(mi: ModuleType, unknowns: Unknowns, x: list, fixed: dict) -> tup
 def turned(direction: Any, towards_s: Any, towards_t: Any) -> Any:
     """The derivative of a direction in a shading frame whose normal turns towards its tangents.
 
-    The frame's turn about the normal itself is omitted: no lobe sees it.
+    The rotation of the frame about the normal is omitted: isotropic lobes do not depend on it.
     """
     return type(direction)(-towards_s * direction.z, -towards_t * direction.z,
                            towards_s * direction.x + towards_t * direction.y)
@@ -277,12 +277,12 @@ def traced_decode(value: Any) -> tuple:
 
 
 def traced() -> color.Operations:
-    """The operations of Dr.Jit."""
+    """The operations of Dr.Jit that :mod:`mitsvbrdf.color` needs."""
     import drjit as dr
 
     return color.Operations(dr.select, dr.maximum)
 
 
 def traced_encode(linear: Any, transfer: color.Transfer) -> Any:
-    """:func:`mitsvbrdf.color.encode`."""
+    """:func:`mitsvbrdf.color.encode` of Dr.Jit values."""
     return color.response(transfer).encode(linear, traced())

@@ -1,14 +1,14 @@
-"""Lobes that texels share: a mixture of Gaussians of their specular, metallic and roughness.
+"""Lobes that texels share: a mixture of Gaussians over specular, metallic and roughness.
 
-Texels that look alike (:mod:`.sharing`) have the lobes in similar shares. Means, spreads and shares follow
-from the evidence of all texels by expectation-maximisation, with the full covariance of each texel (extreme
-deconvolution; Bovy et al. 2011). A lobe whose texels saw no highlight moves along their valley until others
-fix it. Of many candidates, only those with texels stay (Kiefer and Wolfowitz 1956). The last lobe is wide: it
-is for texels that resemble no others.
+Texels that look alike (:mod:`.sharing`) have the lobes in similar shares. Means, spreads and shares are
+learned from the evidence of all texels by expectation-maximisation, with the full covariance of each texel
+(extreme deconvolution; Bovy et al. 2011). If texels of a lobe show no highlight, many values explain them
+equally well (:mod:`.evidence`); other texels then decide. Of many candidate lobes, only those with texels
+stay (Kiefer and Wolfowitz 1956). The last lobe is wide: it is for texels that resemble no others.
 
-A small systematic error, summed over thousands of texels, is no evidence. Texels lit by the same photos have
-similar errors, so beside prior knowledge all texels of a lobe count as one texel a photo. Prior knowledge:
-most things are dielectrics of F0 near 0.04, some are metals, and anything else must be shown.
+Texels in the same photos have similar errors, so a small error of thousands of texels is no evidence.
+Compared with prior knowledge, all texels of a lobe count as only N texels, for N photos. Prior knowledge:
+most materials are dielectrics of F0 near 0.04, some are metals; anything else needs evidence.
 """
 
 from typing import NamedTuple
@@ -20,24 +20,24 @@ from ...material.maps import DIELECTRIC_F0
 from .evidence import Evidence
 from .texel_prior import BOUNDS
 
-CANDIDATES, MOST, FEWEST = 96, 24, 0.004  # lobes tried, most kept, and share of texels that one must have
-TEXELS, SAME = 2.0, 0.5  # texels that a lobe must have; squared deviations below which two lobes are the same
-WEIGHING, ROUNDS = 60, 16  # rounds of expectation-maximisation: for the candidates' shares, for everything
-ANEW = 5  # the same, where the lobe of each texel is known
-FIRST_SPREAD, LEAST_SPREAD = 0.05, 0.015  # deviations of texels from their lobe
-WIDE = 0.5, 0.25  # mean and deviation of the last lobe's numbers
-COMMON = 20.0  # number of texels that the common spread counts as in the spread of each lobe
+CANDIDATES, MOST, FEWEST = 96, 24, 0.004  # candidates, most that are kept, least share of texels in those
+TEXELS, SAME = 2.0, 0.5  # least texels of a lobe; lobes nearer than this (squared deviations) become one
+WEIGHING, ROUNDS = 60, 16  # rounds of expectation-maximisation: of the candidates' shares, of everything
+ANEW = 5  # the same, if the lobe of each texel is known
+FIRST_SPREAD, LEAST_SPREAD = 0.05, 0.015  # standard deviation of texels from their lobe: at first, at least
+WIDE = 0.5, 0.25  # mean and standard deviation of the last lobe's numbers
+COMMON = 20.0  # the mean spread over all texels counts as this many texels in the spread of each lobe
 # specular of dielectrics, metals and anything else in linear^(1/2.2): mean of the channels, deviation of this
 # mean, deviation of the channels from it, and share
 KINDS = ((DIELECTRIC_F0 ** (1 / 2.2), 0.03, 0.02, 0.6), (0.82, 0.1, 0.1, 0.2), (0.5, 0.25, 0.15, 0.2))
-LIKE_OTHERS, NEAR = 0.8, 0.03  # probability that a lobe has another lobe's specular; deviation from that
-METAL, RARE = 0.55, 0.1  # specular from which a lobe is a metal's; how rare metals are beside others
+LIKE_OTHERS, NEAR = 0.8, 0.03  # probability that a lobe has another lobe's specular; deviation between them
+METAL, RARE = 0.55, 0.1  # lobes of more specular are metals; prior share of a metal relative to other lobes
 VAGUE = 1e-2  # prior precision of any number
 NOBODY = 1e-12  # least share of a lobe
 
 
 class Lobes(NamedTuple):
-    """A mixture; float64.
+    """A mixture of Q lobes, Gaussians of S shared numbers; float64.
 
     Args:
         mean: Q x S.
@@ -50,19 +50,19 @@ class Lobes(NamedTuple):
     share: Tensor
 
     def shares(self, member: Tensor) -> Tensor:
-        """Shares of the lobes in M texels, M x Q, by the shares ``member`` of basis materials, M x K."""
+        """Shares of the lobes in M texels, M x Q; ``member``: shares of basis materials in them, M x K."""
         return (member @ self.share.to(member.dtype)).clamp_min(NOBODY)
 
 
 class Posterior(NamedTuple):
-    """What texels would be with a lobe; ``...`` stands for texels (and lobes).
+    """Texels, if they have a given lobe; ``...`` is M for one lobe per texel, M x Q for all lobes.
 
     Args:
         cost: -2 log of the marginal likelihood, ...
         mean: of their numbers, ... x S.
         variance: ... x S.
-        weight: precision of the lobe's mean as one texel tells it, ... x S x S.
-        says: the lobe's mean as one texel tells it, times the weight, ... x S.
+        weight: precision of the lobe's mean if estimated from this texel alone, ... x S x S.
+        says: that estimate of the mean, times the weight, ... x S.
     """
 
     cost: Tensor
@@ -73,9 +73,9 @@ class Posterior(NamedTuple):
 
 
 def posterior(found: Evidence, near: int, mean: Tensor, variance: Tensor) -> Posterior:
-    """What M texels would be with lobes, by their photos around the answer ``near``.
+    """The :class:`Posterior` of M texels with given lobes, from the evidence around answer number ``near``.
 
-    Mean and variance are those of the lobe, or of each texel's lobe, (M x) S.
+    ``mean`` and ``variance`` are those of one lobe for all texels, S, or of each texel's lobe, M x S.
     """
     x, cost, slope, curve = (part[near] for part in found)
     off = mean - x
@@ -96,7 +96,7 @@ class Learner:
 
     Args:
         names: the map of each of the S numbers.
-        member: how much of each basis material texels are, M x K.
+        member: shares of the basis materials in each texel, M x K.
     """
 
     def __init__(self, names: list[str], member: Tensor, photos: int) -> None:
@@ -106,16 +106,16 @@ class Learner:
         self.specular = torch.tensor([name == "specular" for name in names])
 
     def each(self, found: Evidence, lobes: Lobes) -> Posterior:
-        """What texels would be with each lobe, M x Q, by the answers of nearest roughness."""
+        """The :class:`Posterior` of texels with each lobe, M x Q, from the answer of nearest roughness."""
         widths = found.x[:, 0, self.width].log()
         near = (lobes.mean[:, self.width, None].log() - widths).abs().argmin(dim=1)
         parts = [posterior(found, int(k), *lobe) for k, *lobe in zip(near, lobes.mean, lobes.variance)]
         return Posterior(*(torch.stack(part, dim=1) for part in zip(*parts, strict=True)))
 
     def learned(self, found: Evidence, seed: int) -> Lobes:
-        """Learn lobes from two starts, the texels' own answers and dielectrics; gives the likelier end.
+        """Learn lobes from two starts, the texels' own answers and dielectrics; returns the likelier result.
 
-        Where noise hides a lobe, the texels' own answers are chance. ``seed`` draws the candidates.
+        If noise hides a lobe, the texels' own answers are random. ``seed`` selects the candidates.
         """
         best, texels = found.cost.argmin(dim=0), found.cost.shape[1]
         some = torch.randperm(texels, generator=torch.Generator().manual_seed(seed))[:CANDIDATES]
@@ -126,7 +126,7 @@ class Learner:
         return max(ends, key=lambda end: end[1])[0]
 
     def _learned(self, found: Evidence, mean: Tensor) -> tuple[Lobes, float]:
-        """The lobes that some candidates lead to, and the log of their likelihood."""
+        """The lobes learned from candidates with these means, and the log of their likelihood."""
         tried = Lobes(mean, torch.full_like(mean, FIRST_SPREAD**2), torch.empty(0))
         likely, share = -self.each(found, tried).cost / 2, torch.full_like(mean[:, 0], 1 / len(mean))
         for _ in range(WEIGHING):
@@ -145,9 +145,9 @@ class Learner:
         return lobes, float(torch.logsumexp(lobes.shares(self.member).log() - cost / 2, dim=1).sum())
 
     def moved(self, lobes: Lobes, found: Evidence, lobe: Tensor) -> Lobes:
-        """The lobes, each moved to the texels that have it, by the evidence around the texels' answers.
+        """The lobes, each learned again from the texels that have it, by the evidence around their answers.
 
-        ``lobe`` is which lobe each of the M texels has.
+        ``lobe`` is the number of each texel's lobe, M.
         """
         has = torch.nn.functional.one_hot(lobe, len(lobes.mean)).double()
         for _ in range(ANEW):
@@ -170,7 +170,7 @@ class Learner:
         return Lobes(lobes.mean[kept], lobes.variance[kept], share / share.sum(dim=1, keepdim=True))
 
     def _improved(self, lobes: Lobes, seen: Posterior, likely: Tensor) -> Lobes:
-        """One round of expectation-maximisation, by likelihoods M x Q."""
+        """The lobes after a round of expectation-maximisation; ``likely``: likelihoods of lobes, M x Q."""
         mixed = lobes.shares(self.member) * likely
         total = mixed.sum(dim=1, keepdim=True)
         belongs = mixed / total
@@ -195,7 +195,7 @@ class Learner:
         return Lobes(mean, spread, share / (count + told))
 
     def _usual(self, weight: Tensor, says: Tensor, texels: Tensor) -> tuple[Tensor, Tensor]:
-        """Prior of specular from kinds and other lobes: precision Q x S x S, and precision times mean."""
+        """Prior of specular from KINDS and other lobes: precision, Q x S x S, and precision times mean."""
         of, count = self.specular, int(self.specular.sum())
         once = (texels / self.photos).clamp_min(1)[:, None, None]
         covariance = torch.linalg.inv(weight)[:, of][:, :, of] * once  # Q x C x C

@@ -1,4 +1,4 @@
-"""The photos as a round sees them: noise, weights of pixels, and maps freed of burnt-in highlights."""
+"""The photos as a round uses them (noise, weights of pixels), and maps without burnt-in highlights."""
 
 from dataclasses import dataclass
 
@@ -21,14 +21,14 @@ from .time_budget import TimeBudget
 from .view_corrections import ViewCorrections
 
 ROBUST = 3.0  # errors beyond this many times the noise count by their absolute value, not by their square
-ROBUST_END = 10.0  # the same at full size of real photos, where every start is near its highlight
-CHANCE = 0.08  # share of a map's variance that its own pattern may have in common with the coverage angle
+ROBUST_END = 10.0  # the same for real photos at full size, where every start is near its highlight
+CHANCE = 0.08  # share of a map's variance that may follow the coverage angle without burn-in
 TAIL_FLOOR = 0.03  # least weight of a pixel
 
 
 @dataclass(frozen=True, eq=False)
 class ObservationModel:
-    """The photos in the present round."""
+    """The photos as the present round uses them."""
 
     stages: Stages
     corrections: ViewCorrections
@@ -53,12 +53,12 @@ class ObservationModel:
             return stepped(scale.solver, self.observations(scale, answer), answer, prior, steps)
 
     def measure_noise(self, svbrdf: SVBRDF, capture: Capture, unknowns: int, renderer: Renderer) -> None:
-        """Learn the noise of exact photos from a material of their size with ``unknowns`` a texel."""
+        """Measure the noise of exact photos against a material of their size, ``unknowns`` per texel."""
         views = self.corrections.applied(capture.views)
         self.stages.measure(sensor_noise(svbrdf, views, capture, renderer, unknowns))
 
     def without_burn_in(self, planes: Tensor, scale: Scale, estimate: TexelEstimate) -> Tensor:
-        """Shared unknowns, corrected so that they do not follow the highlights of real photos."""
+        """The shared unknowns ``planes``, corrected so that they do not follow highlights of real photos."""
         if not (len(planes) and self.stages.tied and self.config.remove_burn_in):
             return planes
         views, reach = self.corrections.applied(scale.capture.views), self.config.highlight_reach or 1.0
@@ -68,11 +68,11 @@ class ObservationModel:
 
 
 def trust(views: Views, roughness: Tensor, reach: float, rows: slice = ALL) -> Tensor:
-    """Weights of a photo's pixels, N x ? x R: lower where the flash is seen far from its mirror direction.
+    """Weights of the photos' pixels, N x ? x R: lower far from the mirror direction of the flash.
 
-    There GGX differs most from real materials, whose highlights have longer tails. All texels without a
-    highlight show a faint glow, which would be taken for roughness. The weight is 1 / (1 + tan^2 / (reach
-    alpha)^2) of the angle between half vector and flat normal.
+    There GGX differs most from real materials, whose highlights have longer tails: texels far from a
+    highlight have a faint glow, which the fit would explain by roughness. The weight is 1 / (1 + tan^2(a) /
+    (reach alpha)^2), where a is the angle between half vector and flat normal, and alpha is roughness^2.
 
     Args:
         roughness: R x R.
@@ -83,11 +83,11 @@ def trust(views: Views, roughness: Tensor, reach: float, rows: slice = ALL) -> T
 
 
 def without_burn_in(planes: Tensor, views: Views, trusted: Tensor) -> Tensor:
-    """Maps S x R x R with a weaker cubic trend along the coverage angle; the level at highlights stays.
+    """Maps S x R x R with less of their cubic trend in the coverage angle (:mod:`mitsvbrdf.measure.burn_in`).
 
-    A material does not depend on where the camera stood; a map that follows the camera holds errors of the
-    model. The part of the trend that explains a share :data:`CHANCE` of a map's variance stays: it may be the
-    material's own.
+    A material does not depend on where the camera stood. A map that does so contains errors of the model. The
+    level at highlights is kept. The part of the trend that explains a share :data:`CHANCE` of a map's
+    variance is kept, too: it may belong to the material.
 
     Args:
         planes: S x R x R.

@@ -1,4 +1,4 @@
-"""What ``hierarchical`` omits for these photos: known before the fit, or decided by its first stage."""
+"""The parts that ``hierarchical`` omits for these photos: known before the fit, or after its first stage."""
 
 from ...render.needs import Omitted
 from ..config import HierarchicalConfig
@@ -15,7 +15,7 @@ MATTE = f"no block of texels needs a lobe, and a lobe of specular {WEAK:g} would
 
 
 def decided_later(task: FitTask[HierarchicalConfig]) -> list[Omitted]:
-    """What a fit may omit while it runs; ``why`` says on which condition."""
+    """The parts that a fit may omit while it runs; ``why`` is the condition."""
     below = f"a free, coarse fit leaves errors whose structure is below {EXACT:g}: {FOLLOW}"
     stated, lobe, anew = task.config.exact, may_be_omitted(task), _may_start_anew(task)
     if stated is not None:
@@ -30,11 +30,11 @@ def decided_later(task: FitTask[HierarchicalConfig]) -> list[Omitted]:
 
 def omitted_stages(task: FitTask[HierarchicalConfig], stages: Stages | None = None,
                    short: bool = False) -> list[Omitted]:
-    """What ``hierarchical`` omits, as far as it is known.
+    """The parts that ``hierarchical`` omits, as far as this is known.
 
     Args:
-        stages: as it stands; None before the fit.
-        short: whether the views were refined less often than they should be, for lack of time.
+        stages: the present state of the fit; None before the fit.
+        short: whether a refinement of the views was omitted for lack of time.
     """
     config, exact, why = task.config, task.config.exact, "stated by --exact"
     if exact is None and stages and stages.known:

@@ -1,4 +1,4 @@
-"""Stages of real photos: texels are tied, then as free as the photos ask for; burn-in is removed."""
+"""Stages of real photos: texels are tied, then freed as far as photos require; burn-in is removed."""
 
 from dataclasses import replace
 
@@ -22,13 +22,13 @@ from .time_budget import LAST_STEPS, ROUND_STEPS, STEPS
 
 
 class RealPhotos:
-    """What is special about photos of a phone."""
+    """The steps that only real photos need."""
 
     def __init__(self, search: Search, seen: ObservationModel) -> None:
         (self.scales, self.prior), self.seen = search, seen
         self.photos = len(self.scales.of(Stage.ALONE).capture)
-        self.curve: color.Curve | None = None  # the response curve that the photos ask for
-        # result of :meth:`close` for the present answer, once it was asked for: shared numbers, all numbers
+        self.curve: color.Curve | None = None  # the response curve, if one was found
+        # result of :meth:`close` for the present answer: shared numbers, all numbers; None before the call
         self.closed: tuple[Tensor, Tensor] | None = None
 
     def next_prior(self, scale: Scale, photos: Observations, answer: TexelEstimate) -> TexelEstimate:
@@ -44,17 +44,17 @@ class RealPhotos:
                                         beside=ROUND_STEPS - STEPS)
 
     def at_full_size(self, answer: TexelEstimate, scale: Scale) -> tuple[Scale, TexelEstimate]:
-        """A tied answer enlarged; texels are free to leave it."""
+        """The full-size scale, and a tied answer enlarged to it; its texels may leave it."""
         fine = self.scales.of(Stage.FINE, free=True)
         return fine, self.prior.enlarge(answer, scale, fine, tied=True)
 
     def learn(self, tied: TexelEstimate, scale: Scale, hurried: bool,
               renderer: Renderer) -> tuple[Scale, TexelEstimate, bool]:
-        """Learn the response curve and the noise at full size with which photos predict each other well.
+        """Learn the response curve and the noise at full size: those that predict held-out photos well.
 
         Returns:
-            The scale, with the response curve that its photos ask for, if any; the answer; and whether the
-            time is too short to learn the noise.
+            The scale, with the response curve if one was found; the answer; and whether the time was too
+            short for the cross-validation.
         """
         steps = steps_of_turns(self.photos)
         hurried = hurried or steps > 0 and not self._in_time(steps)
@@ -79,7 +79,7 @@ class RealPhotos:
         return scale, tied, hurried
 
     def seen_through(self, capture: Capture) -> Capture:
-        """The capture with the response curve that its photos ask for, and a note; unchanged without one."""
+        """The capture with the response curve and a note; unchanged if no curve was found."""
         if self.curve is None or capture.transfer == self.curve.behind(capture.transfer):
             return capture
         told = ("the fit uses a response curve, with which it predicts held-out photos better: gamma "
@@ -88,8 +88,8 @@ class RealPhotos:
         return capture.but(transfer=self.curve.behind(capture.transfer), notes=(*capture.notes, told))
 
     def _held_out(self, tied: TexelEstimate, scale: Scale) -> dict[int, TexelEstimate]:
-        """For each photo held out, the answer from all other photos, which predicts it; empty if these turns
-        take longer than was foreseen, and the noise could not be learned in time.
+        """A dict: number of each held-out photo -> the answer from all other photos. It is empty if the fits
+        take longer than expected, so that the noise cannot be learned in time.
         """
         found, every = dict[int, TexelEstimate](), self.seen.observations(scale, tied)
         for photo in in_turn(self.photos):
@@ -104,7 +104,7 @@ class RealPhotos:
         return found
 
     def _errors(self, held_out: dict[int, TexelEstimate], scale: Scale) -> Tensor:
-        """Mean squared errors of the photos' display values, each predicted from all others."""
+        """Squared errors of each photo, predicted from the others: sum over channels, mean over pixels."""
         every = replace(self.seen.observations(scale, next(iter(held_out.values()))), noise=1.0, robust=None,
                         weights=scale.capture.measured)
         return torch.stack([scale.solver.normal_equations(every.pick([photo]), answer.x)[0].mean()
@@ -119,13 +119,13 @@ class RealPhotos:
         return NOISES[least_as_good(prediction_errors(photos, sharp.solver, self.prior, starts, NOISES))]
 
     def close(self, answer: TexelEstimate, scale: Scale, more: int = 0) -> Tensor:
-        """The answer without burn-in, and with a diffuse map that is solved for its other maps.
+        """The answer without burn-in, and with a diffuse map that is solved again for the other maps.
 
-        Before the last stage, the answer is treated as if the last stage began now. Steps that cannot end in
-        time are omitted.
+        Before the last stage, the answer is treated as if the last stage began now. Fewer steps are taken if
+        time is short.
 
         Args:
-            more: steps to take if the answer was closed before.
+            more: steps to take if :meth:`close` was called for this answer before.
 
         Returns:
             The unknowns, U x R x R.
@@ -162,7 +162,7 @@ class RealPhotos:
         return found
 
     def state(self) -> dict[str, Tensor]:
-        """The curve."""
+        """The response curve: two numbers, or none."""
         return {"curve": torch.tensor(self.curve or (), dtype=torch.float64)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:

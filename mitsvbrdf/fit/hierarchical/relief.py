@@ -1,8 +1,8 @@
 """How steep texels are: a mixture of normal distributions of slopes, learned from all texels.
 
-Most of a surface may be flat while its edges are steep. A single width fits neither: flat texels are free to
-tilt, and any other answer of a steep texel is likelier than its slope. The shares of many widths follow from
-all texels (Kiefer and Wolfowitz 1956). Each texel then has a precision of its own, as in a scale mixture of
+Most of a surface may be flat while its edges are steep. A single width fits neither: it lets flat texels
+tilt, and makes the true slope of a steep texel improbable. The shares of many widths are learned from all
+texels (Kiefer and Wolfowitz 1956). Each texel then has a precision of its own, as in a scale mixture of
 normal distributions (Andrews and Mallows 1974).
 """
 
@@ -11,7 +11,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-STEEPEST = 10.0  # slope of a normal: 84 degrees
+STEEPEST = 10.0  # largest slope of a normal: 84 degrees
 WIDTHS = [0.005 * 2.0**k for k in range(11)]  # standard deviations of a slope
 ROUNDS = 40  # of expectation-maximisation
 NOBODY = 1e-6  # least share of a width
@@ -19,17 +19,17 @@ SAMPLED = 256  # most texels a side from which the shares are learned
 
 
 class Relief:
-    """Shares of :data:`WIDTHS` among texels, which sum to 1."""
+    """The shares of :data:`WIDTHS` among texels; they sum to 1."""
 
     def __init__(self, share: Tensor) -> None:
         self.share = share
 
     @classmethod
     def learned(cls, x: Tensor, variance: Tensor, precision: Tensor) -> Relief:
-        """The shares of maximum likelihood, given what the photos say of each texel's slopes (a normal
-        distribution; Bovy et al. 2011).
+        """The shares of maximum likelihood. The photos of a texel give a normal distribution of its slopes
+        (Bovy et al. 2011).
 
-        The prior is removed first: where the photos say little, an answer is as steep as its prior was.
+        The prior is removed first: if photos determine a slope only weakly, the answer follows its prior.
 
         Args:
             x: slopes of the answer, 2 x R x R.
@@ -52,11 +52,11 @@ class Relief:
         return cls(share / share.sum())
 
     def precision(self, square: Tensor) -> Tensor:
-        """Precision of the normal distribution that stands for the mixture, at sums of squared slopes."""
+        """Precision of the normal distribution that replaces the mixture at these sums of squared slopes."""
         return sum((s / w**2 * _density(square, w) for s, w in self._widths), 0.0) / self._density(square)
 
     def improbability(self, square: Tensor) -> Tensor:
-        """-2 log of the density of two slopes with these sums of squares, less 2 log 2 pi."""
+        """-2 log of the density at these sums of squares of two slopes, less 2 log 2 pi."""
         return -2 * self._density(square).log()
 
     @property
@@ -68,5 +68,5 @@ class Relief:
 
 
 def _density(square: Tensor, width: float) -> Tensor:
-    """Density of two slopes with these sums of squares, times 2 pi."""
+    """Density at these sums of squares of two slopes, times 2 pi."""
     return torch.exp(-square / (2 * width**2)) / width**2

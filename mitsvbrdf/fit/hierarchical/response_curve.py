@@ -1,8 +1,8 @@
-"""The response curve that photos of a phone ask for: two numbers that all photos share.
+"""The response curve of a phone's photos: two numbers, gamma and shoulder, that all photos share.
 
-Maps have adapted to a wrong curve, so held maps would hold the curve, too. So the curve moves as if every
-texel followed at once: texels are eliminated from the normal equations (Schur complement; Triggs et al.
-1999). Photos held out decide whether the curve is kept.
+Maps adapt to a wrong curve, so with fixed maps the curve would not move. Therefore the curve moves as if
+every texel followed at once: texels are eliminated from the normal equations (Schur complement; Triggs et al.
+1999). Held-out photos decide whether the curve is used.
 """
 
 from collections.abc import Callable
@@ -20,10 +20,10 @@ from .texel_prior import LEAST_PRECISION, TexelEstimate, TexelPrior
 from .time_budget import STEPS
 
 ROUNDS = 10  # at most
-TRIALS = 3  # of a step; each is a quarter as long as the one before
+TRIALS = 3  # lengths of a step that are tried at most; each is a quarter of the one before
 STILL = 0.05  # a shorter step ends the search
 WORK = ROUNDS * (TRIALS * STEPS + 5)  # in steps of the solver, at most
-CLEAR = 0.02  # least share of the data cost that a curve must save
+CLEAR = 0.02  # least share of the data cost that a curve must save to be used
 LIMITS = torch.tensor(((0.4, 4.0), (-0.8, 10.0)), dtype=torch.float64)  # of gamma and shoulder
 LONGEST, DIFFERENCE = 0.5, 1e-3  # longest step of a number; step of the central differences
 VAGUE = 1.0  # prior precision of both numbers
@@ -32,7 +32,7 @@ Sharing = Callable[[Scale, Observations, TexelEstimate], TexelEstimate]  # gives
 
 def curved(scale: Scale, answer: TexelEstimate, observed: Callable[[Scale, TexelEstimate], Observations],
            prior: TexelPrior, next_prior: Sharing, renderer: Renderer) -> tuple[Scale, TexelEstimate] | None:
-    """The scale with the curve at which the search ends, and the answer; None if no round saved much.
+    """The scale with the last curve of the search, and its answer; None if no round saved :data:`CLEAR`.
 
     The photos of ``scale`` have no curve yet; ``observed`` gives the photos of a round.
     """

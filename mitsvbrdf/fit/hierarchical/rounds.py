@@ -1,15 +1,15 @@
-"""``hierarchical``, the default: every texel solved by itself, tied to the texels that look like it.
+"""``hierarchical``, the default: every texel is solved by itself, and tied to texels that look like it.
 
-A texel has nine unknowns and about nine grey values. On its own it explains its photos by whatever fits:
-unseen highlights stay open, and errors of the model are burnt in. So three steps alternate: texels are solved
-(:mod:`.solver`), they share specular and roughness with texels that look alike (:mod:`.sharing`), and camera
-and flash are refined (:mod:`.view_corrections`). A neighbour's better estimate becomes a start
-(:mod:`.starts`; PatchMatch, Barnes et al. 2009).
+A texel has nine unknowns and about nine nearly grey values, one per photo. Solved alone, it overfits: lobes
+without a seen highlight stay undetermined, and maps absorb errors of the model (burn-in). So three steps
+alternate: texels are solved (:mod:`.solver`), they share specular and roughness with texels that look alike
+(:mod:`.sharing`), and camera and flash are refined (:mod:`.view_corrections`). A neighbour's better estimate
+becomes a start (:mod:`.starts`; PatchMatch, Barnes et al. 2009).
 
-What a first free fit leaves unexplained tells simulated photos from real ones (:mod:`.stages`). Real photos
-are explained at 64 px, where texels must agree; at full size each texel may leave its 64 px value as far as
-the photos ask for (:mod:`.texel_prior`, :mod:`.cross_validation`). Texels of simulated photos share lobes
-learned from all of them (:mod:`.shared_lobes`), or have no lobe where none is needed (:mod:`.specular_test`).
+The errors of a first free fit distinguish simulated photos from real ones (:mod:`.stages`). Real photos are
+fitted at 64 px first, where look-alikes are tied. At full size, a texel may leave its 64 px value as far as
+its photos require (:mod:`.texel_prior`, :mod:`.cross_validation`). Texels of simulated photos share lobes
+learned from all texels (:mod:`.shared_lobes`), or have no lobe if none is needed (:mod:`.specular_test`).
 """
 
 from dataclasses import replace
@@ -42,8 +42,8 @@ from .texel_prior import TexelEstimate, TexelPrior
 from .time_budget import FAR_STEPS, LAST_STEPS, OTHER_STEPS, ROUND_STEPS, STEPS, TimeBudget
 from .view_corrections import LEVELLED, REFINED, ViewCorrections
 
-MIXED = 2.0  # times the structure that single pixels leave: beyond, their averages do not follow the model
-SHOWN = 256  # texels a side of a preview, or somewhat more
+MIXED = 2.0  # structure of errors, averages / single pixels: above this, averages do not follow the model
+SHOWN = 256  # texels a side of a preview of a larger material, up to twice as many
 
 
 class Hierarchical(Method[HierarchicalConfig]):
@@ -56,8 +56,8 @@ class Hierarchical(Method[HierarchicalConfig]):
         BackendError: Mitsuba, the variant or libLLVM is missing.
     """
 
-    measured_every = 6  # rounds; 1 for exact photos at full size: samples are quick, and no older planes stay
-    latest_is_best = True  # maps with burnt-in highlights would explain the photos seen best
+    measured_every = 6  # rounds; 1 for exact photos at full size: samples are quick, no older planes are kept
+    latest_is_best = True  # the maps that explain the photos seen best have burnt-in highlights
 
     def __init__(self, task: FitTask[HierarchicalConfig]) -> None:
         super().__init__(task)
@@ -77,7 +77,7 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     @property
     def scales(self) -> Scales:
-        """The sizes that the stages work at."""
+        """Photos and solvers at the sizes of the stages."""
         return self.exact.present.scales
 
     @property
@@ -87,16 +87,16 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     @property
     def photos(self) -> ExactPhotos | RealPhotos:
-        """What is special about these photos."""
+        """The special steps of real photos, once they are known to be real; else those of exact photos."""
         return self.real if self.stages.tied else self.exact
 
     def start(self) -> TexelEstimate:
-        """The robust start with a vague prior around it."""
+        """The robust start (:func:`.robust_start`) with a wide prior around it."""
         solver, capture, guess = self.scale.solver, self.scale.capture, self.scale.guess
         return self.prior.vague(solver.numbers(robust_start(capture, guess, solver.bsdf, solver.fixed)))
 
     def step(self, progress: float) -> dict[str, float]:
-        """One round of the present stage, or the first of the next; the last steps if no round is in time."""
+        """A round of the present stage, or the first one of the next; the last steps if time is short."""
         stages = self.stages
         self.budget.begin(progress)
         if stages.over(progress, short=not self.budget.in_time(ROUND_STEPS * self.scale.texels)):
@@ -140,12 +140,12 @@ class Hierarchical(Method[HierarchicalConfig]):
         self.stages.enter(stage, hurried)
 
     def unexplained(self) -> Tensor:
-        """Structure and RMSE of the present errors."""
+        """Structure and RMSE of the present errors (:func:`.stages.unexplained`)."""
         return unexplained(self.preview(), self.corrections.applied(self.views), self.scale.capture,
                            make_renderer("mitsuba", self.variant))
 
     def averages_mix(self) -> bool:
-        """Whether single pixels of shrunk photos follow the model and averages do not; makes a coarse fit."""
+        """Whether single pixels of shrunk photos follow the model, but averages do not; runs a coarse fit."""
         pixels = self.task.capture.of_single()
         if pixels is None or not self.stages.known:
             return False
@@ -171,7 +171,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         return self.stages.hurried or self.stages.early
 
     def solve(self) -> Tensor:
-        """Solve every texel, then take other starts where they cost less; returns the mean cost."""
+        """Solve every texel, then try other starts and keep those that cost less; returns the mean cost."""
         fine, turn, lobes = self.stages.stage == Stage.FINE, self.stages.rounds, self.exact.lobes
         steps = self.budget.steps(STEPS, self.budget.to_come) if fine else STEPS
         others = FAR_STEPS if lobes else OTHER_STEPS
@@ -211,7 +211,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         return Scoring(self.scale, photos, self.prior, self.exact.lobes, self.budget)
 
     def _move_views(self) -> None:
-        """Move camera and flash if this round does so; the patch as a whole is flat (in z = 0)."""
+        """Level the normals (mean slopes 0), and move camera and flash, in the rounds that do so."""
         stage, rounds, sloped = self.stages.stage, self.stages.rounds, len(self.prior.slopes) > 0
         if not self.corrections.may_move(self.stages.tied):
             return
@@ -228,8 +228,8 @@ class Hierarchical(Method[HierarchicalConfig]):
                                         self.engine)
 
     def estimate(self) -> tuple[SVBRDF, Views]:
-        """The present maps at full size. Tied texels get the freedom that they have in the last stage. At the
-        end, free texels that are still coarse take steps at full size.
+        """The present maps at full size, and the views. Tied texels are first freed as in the last stage
+        (:meth:`.RealPhotos.close`). At the end, other texels that are still coarse take steps at full size.
         """
         x, full = self.answer.x, self.capture.resolution
         if self.stages.tied:
@@ -244,7 +244,7 @@ class Hierarchical(Method[HierarchicalConfig]):
         return solver.svbrdf(x), views
 
     def glimpse(self) -> tuple[SVBRDF, Views, Capture] | None:
-        """The present maps with every k-th pixel of the photos; None for real photos at full size."""
+        """The present maps and views, and every k-th pixel; None at full size if ``measured_every`` > 1."""
         full = self.scale.capture.resolution == self.capture.resolution
         if full and self.measured_every > 1:
             return None
@@ -263,11 +263,11 @@ class Hierarchical(Method[HierarchicalConfig]):
 
     @property
     def omitted(self) -> list[Omitted]:
-        """What these photos did not need."""
+        """The parts of the method that were omitted for these photos, with reasons."""
         return omitted_stages(self.task, self.stages, bool(self.corrections.skipped))
 
     def state(self) -> dict[str, Tensor]:
-        """The states of its parts."""
+        """The present answer and the states of the fit's parts."""
         parts = *(part.state() for part in (self.stages, self.corrections, self.exact, self.real,
                                             self.budget)),
         copies = {name: value.clone() for part in parts for name, value in part.items()}

@@ -1,4 +1,4 @@
-"""The sizes that the stages work at: the photos, the solver and the look-alikes of each."""
+"""The sizes of the stages: the photos, the solver and the look-alikes at each size."""
 
 from __future__ import annotations
 
@@ -19,18 +19,18 @@ from .sharing import appearance_of, basis_materials, membership
 from .solver import TexelSolver
 from .stages import Stage
 
-COARSE = 64  # texels a side of the first stages; up to 127 where every k-th pixel is one
+COARSE = 64  # texels a side of the first stages; up to 127 if every k-th pixel is taken
 
 
 @dataclass(frozen=True, eq=False)
 class Scale:
-    """What a stage works on.
+    """The photos and the solver that a stage works with.
 
     Args:
         capture: the photos, N x R x R.
         guess: guessed diffuse map, R x R x 3.
-        basis: appearance of the basis materials, K x 5.
-        width: how alike texels must look to share.
+        basis: appearance of the basis materials (clusters of similar texels), K x 5.
+        width: standard deviation of appearance within which texels share.
         free: whether texels may leave the values of their look-alikes.
     """
 
@@ -48,7 +48,7 @@ class Scale:
 
     @cached_property
     def look(self) -> Tensor:
-        """What the texels look like, M x 5."""
+        """Appearance of the texels (:func:`.appearance_of`), M x 5."""
         return appearance_of(self.capture, self.guess)
 
     @cached_property
@@ -57,7 +57,7 @@ class Scale:
         return torch.cat(list(self.members()()))
 
     def members(self, kept: bool = False) -> Callable[[], Iterable[Tensor]]:
-        """A function that gives :attr:`member` in parts at each call: kept in memory, or computed again."""
+        """A function that gives :attr:`member` in parts, computed at each call unless ``kept`` in memory."""
         if kept:
             return partial(self.member.split, STRIP)
         look = appearance_of(self.capture, self.guess)
@@ -80,7 +80,7 @@ class Scales:
         self.guess, self.fixed, self.config, self.variant = guess, fixed, config, variant
         sampled, averaged = (make(min(COARSE, capture.resolution))
                              for make in (capture.sampled, capture.averaged))
-        # Photos no larger than COARSE are the same in every stage, even in memory: sums depend on it.
+        # Photos no larger than COARSE have one memory layout in every stage: rounding of sums depends on it.
         full = averaged if averaged.resolution == capture.resolution else capture
         self.captures = {Stage.ALONE: sampled, Stage.MULTI_START: sampled, Stage.TOGETHER: averaged,
                          Stage.FINE: full}
@@ -89,14 +89,14 @@ class Scales:
         self.basis = basis_materials(appearance_of(averaged, guess), config.materials, config.seed)
 
     def of(self, stage: Stage, free: bool = False) -> Scale:
-        """What this stage works on, with texels that are free or not."""
+        """The scale of this stage, with texels that are free or not."""
         capture = self.captures[stage]
         guess = area_averaged(self.guess, capture.resolution)
         return Scale(capture, guess, self.solver(capture.resolution), self.basis, self.config.similarity,
                      free)
 
     def see_through(self, transfer: Transfer) -> None:
-        """Let the photos have another transfer function."""
+        """Give the photos another transfer function."""
         self.captures = {stage: capture.but(transfer=transfer) for stage, capture in self.captures.items()}
 
     def holding(self, **maps: Tensor) -> Scales:
@@ -111,7 +111,7 @@ class Scales:
         return sampled(planes, min(COARSE, planes.shape[-1]))
 
     def solver(self, side: int) -> TexelSolver:
-        """The solver of so many texels a side, made once."""
+        """The solver of ``side`` x ``side`` texels, made once."""
         if side not in self.solvers:
             fixed = {name: area_averaged(value, side) for name, value in self.fixed.items()}
             grey = self.config.grey_specular and "specular" not in fixed

@@ -1,8 +1,8 @@
-"""What each texel's answer costs, and a further search where the photos refuse it.
+"""The cost of each texel's answer, and a further search if its errors are too large for noise.
 
-Most texels converge from the usual starts. Some do not: a texel that turned away from the light explains its
-photos a thousand times worse than their noise allows, and stays there. The noise tells which texels these
-are. Only they are searched from more starts and by more steps (multi-start; Martí et al. 2018).
+Most texels converge from the usual starts. Some do not: a texel whose normal turned away from the light
+explains its photos a thousand times worse than noise allows, and stays there. A test against the noise finds
+these texels. Only they are searched from more starts with more steps (multi-start; Martí et al. 2018).
 """
 
 from collections.abc import Callable, Sequence
@@ -20,7 +20,7 @@ from .starts import LESS, Start, stepped
 from .texel_prior import TexelEstimate, TexelPrior
 from .time_budget import LAST_STEPS, TimeBudget
 
-RARE = 1e-6  # probability of errors by noise alone, below which the photos refuse a texel's answer
+RARE = 1e-6  # an answer is refused if noise alone would cause its errors with less than this probability
 FURTHER_STEPS, PASSES = 20, 3  # of the further search: steps from each start, passes over refused texels
 GROUP = 64  # texels a side of a square in which refused texels are searched together
 
@@ -29,7 +29,7 @@ Scored = tuple[TexelEstimate, Tensor]  # an answer, and what each texel costs, R
 
 @dataclass(frozen=True, eq=False)
 class Scoring:
-    """Costs of the texels of a round, which may share lobes."""
+    """The costs of texels in a round; the texels may share lobes."""
 
     scale: Scale
     photos: Observations
@@ -39,12 +39,12 @@ class Scoring:
 
     def scored(self, answer: TexelEstimate, steps: int, start: Start = TexelEstimate.rows,
                cost: Tensor | None = None) -> Scored:
-        """An answer after some steps from a start, and the cost of each texel, by tiles.
+        """The answer after some steps from a start, and the cost of each texel; computed by tiles.
 
         Args:
-            answer: all texels; it is written into, and so is the cost.
+            answer: all texels. Results are written into ``answer`` and ``cost``.
             start: gives the start of some rows of the answer.
-            cost: of the answer, R x R: texels stay as they are where the steps would not lower it.
+            cost: of the answer, R x R. Texels stay as they are if it would not fall. None: all change.
         """
         def found(rows: slice) -> Scored:
             tried = self._tried(self.photos.of_rows(rows), start(answer, rows), steps)
@@ -56,7 +56,7 @@ class Scoring:
         return answer, least
 
     def averaged(self, lobes: SharedLobes, answer: TexelEstimate, cost: Tensor, steps: int) -> TexelEstimate:
-        """Texels averaged over likely lobes, after the last steps, by tiles; the answer is written into."""
+        """Average texels over likely lobes, then take the last steps; written into ``answer`` by tiles."""
         def found(rows: slice) -> Scored:
             photos, part = self.photos.of_rows(rows), answer.rows(rows)
             held = lobes.averaged(part, cost[rows], rows, partial(self._tried, photos, steps=steps))
@@ -75,7 +75,7 @@ class Scoring:
         return answer, cost
 
     def refused(self, answer: TexelEstimate) -> Tensor:
-        """Places of the texels whose errors are too large for noise (chi-square test)."""
+        """Places (row-major indices) of texels whose errors are too large for noise (chi-square test)."""
         from scipy.special import chdtri
 
         found, limit = [], chdtri(3 * len(self.photos.views), RARE)
@@ -87,17 +87,17 @@ class Scoring:
 
     def searched_further(self, answer: TexelEstimate, cost: Tensor,
                          starts: Callable[[TexelEstimate, Tensor], Sequence[TexelEstimate]]) -> Scored:
-        """Search further for the texels that the photos refuse, while time is left; answer and its cost.
+        """Search further for :meth:`refused` texels while time is left; returns the answer and its costs.
 
         Args:
-            answer: of all texels; it is written into, and so is the cost.
-            cost: of each, R x R.
+            answer: all texels. Results are written into ``answer`` and ``cost``.
+            cost: of each texel, R x R.
             starts: gives starts of the texels at some places.
         """
         for _ in range(PASSES):
             refused, found, moved = self.refused(answer), list[tuple[Tensor, Scored]](), False
             for texels in refused.split(GROUP**2) if len(refused) else ():
-                # always as many, so that one kernel serves all
+                # always the same number, so that one kernel serves all
                 texels = torch.cat((texels, texels[-1:].expand(GROUP**2 - len(texels)))).reshape(GROUP, GROUP)
                 photos, best = self.photos.of_texels(texels), (answer.of_texels(texels), cost.take(texels))
                 tried = starts(answer, texels)
@@ -118,9 +118,9 @@ class Scoring:
 
 
 def write_by_tiles(answer: TexelEstimate, cost: Tensor, found: Callable[[slice], Scored]) -> None:
-    """Write each tile's result into all texels, once no other tile starts from the tile's old texels."""
+    """Write each tile's result into all texels, once no later tile needs the tile's old texels as starts."""
     side, waiting = len(cost), list[tuple[slice, Scored]]()
-    near = 1 + side // COARSE // tile_rows(side)  # neighbouring tiles, each way, that hold starts of a tile
+    near = 1 + side // COARSE // tile_rows(side)  # neighbouring tiles, each way, that have starts of a tile
 
     def write(rows: slice, part: Scored) -> None:
         answer.put(rows, part[0])
@@ -135,6 +135,6 @@ def write_by_tiles(answer: TexelEstimate, cost: Tensor, found: Callable[[slice],
 
 
 def _better(answer: TexelEstimate, cost: Tensor, other: TexelEstimate, its: Tensor) -> Scored:
-    """Texels of an answer, or of another one where that costs less."""
+    """Each texel of an answer, or of ``other`` if it costs less there; and the costs."""
     better = its < cost * (1 - LESS)
     return answer.where(better, other), torch.where(better, its, cost)

@@ -1,7 +1,7 @@
-"""The noise of exact photos by brightness, from the errors that remain where texels are explained.
+"""The noise of exact photos at each brightness, measured on the errors of well-fitted texels.
 
-Sensor noise is about the same everywhere in linear light, so bright display values have little noise. A
-highlight tells more about a metal than all dark pixels do.
+Sensor noise is about the same everywhere in linear light, so bright display values have little noise. The
+few bright pixels of a highlight determine a metal better than all dark pixels do.
 """
 
 import torch
@@ -13,19 +13,19 @@ from ...material.maps import SVBRDF
 from ...render import Renderer
 from ...views import Views
 
-STEPS = 16  # of brightness, with equally many pixels in each
-NORMAL = 1.4826  # standard deviation of normal errors over the median of their absolute values
+STEPS = 16  # steps of brightness, with equally many pixels in each
+NORMAL = 1.4826  # standard deviation of normal errors / median of their absolute values
 
 
 def sensor_noise(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Renderer, unknowns: int) -> Tensor:
     """Brightness (mean display values) and standard deviation of display values there, 2 x :data:`STEPS`.
 
-    Medians are taken, so texels that are not explained yet do not count. No photo is more exact than 8 bits.
+    Medians are taken, so a few texels with large errors do not matter. The least deviation is that of 8 bits.
 
     Args:
         svbrdf: the material that explains the photos best, R x R.
         capture: the photos, N x R x R.
-        unknowns: their number in each texel; they use up that many of its 3 N values.
+        unknowns: number of unknowns of a texel; they absorb the noise of as many of its 3 N values.
     """
     with torch.no_grad():
         images = renderer.render(svbrdf, views)

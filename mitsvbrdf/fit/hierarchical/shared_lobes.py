@@ -23,14 +23,14 @@ from .starts import GOLDEN, TILTS, Start, other_starts, tilted, variances
 from .texel_prior import FIXED, TexelEstimate, TexelPrior
 
 LIKELY = 8  # lobes that are tried in a texel: those most common among its look-alikes
-TRIED = LIKELY + 2  # by :meth:`SharedLobes.averaged`
-TURNS = 6  # tilts from which a texel starts again if its photos refuse its answer
+TRIED = LIKELY + 2  # lobes that the last steps try in each texel: its own, LIKELY others, the wide one
+TURNS = 6  # tilts from which a texel starts again if its answer is refused (:meth:`.Scoring.refused`)
 FAR_MORE = 30.0  # largest log ratio by which a lobe counts as likelier than the present one
 
 
 @dataclass(frozen=True, eq=False)
 class SharedLobes:
-    """A start, a prior and a cost for the texels of a scale, whose normals may be steep."""
+    """Lobes of the texels of a scale: they give starts, a prior and a cost. Normals may be steep."""
 
     lobes: Lobes
     prior: TexelPrior
@@ -52,9 +52,9 @@ class SharedLobes:
     @classmethod
     def searched(cls, prior: TexelPrior, scale: Scale, answer: TexelEstimate, seen: ObservationModel,
                  renderer: Renderer) -> tuple[SharedLobes, TexelEstimate, Tensor]:
-        """Explain each texel at many roughnesses; from that, learn the noise of the photos, then the lobes.
+        """Fit each texel at many roughnesses; from these fits, learn the noise of the photos and the lobes.
 
-        Gives the lobes, the texels with their most probable lobes, and the mean of their lowest costs.
+        Returns the lobes, the texels with their most probable lobes, and the mean of their lowest costs.
         """
         photos, side = replace(seen.observations(scale, answer), robust=None), scale.capture.resolution
         answers, best = searched(scale.solver, photos, prior, answer.x)
@@ -73,25 +73,25 @@ class SharedLobes:
                                     answer.spread, lobe.view(side, side).byte()), found.cost.amin(0).mean()
 
     def moved(self, scale: Scale, photos: Observations, answer: TexelEstimate) -> SharedLobes:
-        """The lobes, each moved to the texels that have it."""
+        """The lobes, each learned again from the texels that have it."""
         found = evidence(scale.solver, photos, self.prior.whole(answer), self.prior.shared, [answer.x])
         learner = Learner(self.prior.names, scale.member, len(scale.capture))
         lobes = learner.moved(self.lobes, found, answer.lobe.flatten().long())
         return self.at(lobes, self.prior, self.relief, scale, self.prior.lobes[2])
 
     def _at_mean(self, answer: TexelEstimate) -> TexelEstimate:
-        """Texels at the means of their lobes."""
+        """Texels whose shared numbers are the means of their lobes."""
         mean = self.prior.lobes[0][:, answer.lobe.long()]
         return answer._replace(x=answer.x.index_copy(0, self.prior.shared, mean))
 
     def enlarged(self, answer: TexelEstimate, fine: Scale) -> TexelEstimate:
-        """Texels at full size, each a copy of the nearest coarse one (one of them); lobes do not mix."""
+        """Texels at full size, each a copy of the nearest coarse texel, so that lobes are not averaged."""
         count, side = answer.x.shape[-1], fine.capture.resolution
         at = (2 * torch.arange(side) + 1) * count // (2 * side)
         return answer.of_texels(at[:, None] * count + at)
 
     def improbability(self, solver: TexelSolver, photos: Observations, answer: TexelEstimate) -> Tensor:
-        """What the texels' costs lack to be -2 log of the marginal likelihood of their lobes (Laplace)."""
+        """Terms that, added to texels' costs, give -2 log of their lobes' marginal likelihood (Laplace)."""
         answer, places = self.prior.whole(answer), photos.places(slice(0, len(answer.lobe)))
         _, narrowed = solver.posterior(photos, answer.x, answer.precision)
         rare = [self.rare(at).gather(0, lobe[None].long())[0] for at, lobe in zip(
@@ -103,20 +103,20 @@ class SharedLobes:
                 - (answer.precision[self.prior.slopes] * square).sum(dim=0))
 
     def with_relief(self, answer: TexelEstimate, photos: Observations) -> SharedLobes:
-        """Learn the relief from the texels, and write the prior of slopes that it gives into the answer."""
+        """Learn the relief from the texels, and write its prior of slopes into ``answer``."""
         relief, square = relief_of(self.prior, self.scale.solver, photos, answer)
         for rows in strips(len(square)):
             answer.precision[:, rows] = relief.precision(square[rows])
         return replace(self, relief=relief)
 
     def _as_steep(self, answer: TexelEstimate) -> TexelEstimate:
-        """Texels with a prior that lets them be as steep as they are."""
+        """Texels whose prior allows their present slopes."""
         square = answer.x[self.prior.slopes].square().sum(dim=0)
         return answer._replace(precision=answer.precision.minimum(self.relief.precision(square)))
 
     @cached_property
     def others(self) -> list[Tensor]:
-        """Lobes that texels may have, 8 bits: the common ones, then the last, for texels like no others."""
+        """Lobes to try, R x R numbers each, 8 bits: the most common in each texel, then the wide one."""
         count, side = len(self.lobes.mean), self.scale.capture.resolution
         common = torch.cat([self.rare(at).topk(min(LIKELY, count), dim=0, largest=False).indices.byte()
                             for at in torch.arange(side**2).split(STRIP)], dim=1).reshape(-1, side, side)
@@ -125,7 +125,7 @@ class SharedLobes:
     def starts(self, answer: TexelEstimate, turn: int) -> list[Start]:
         """Other starts in a round: neighbours with their lobes, tilts, and other lobes.
 
-        Turns count from 1. In the first turn, the other coarse texels nearby are starts, too.
+        ``turn`` is the number of the round, from 1. In round 1, nearby coarse texels are starts, too.
         """
         usual, wide = self.others[turn % (len(self.others) - 1)], self.others[-1]
         half = answer.x.shape[-1] // COARSE // 2 if turn == 1 else 0
@@ -137,10 +137,10 @@ class SharedLobes:
                 lambda answer, rows: answer.rows(rows)._replace(lobe=wide[rows])]
 
     def further_starts(self, answer: TexelEstimate, texels: Tensor) -> list[TexelEstimate]:
-        """Starts of the texels at some places, whose photos refuse their answer.
+        """Starts of the texels at some places, whose answers are refused (:meth:`.Scoring.refused`).
 
-        First all neighbours with their lobes, then tilts whose other numbers are means: such a texel explains
-        nothing, so none of its numbers is worth keeping.
+        First all neighbours with their lobes, then tilts whose other numbers are means: a refused answer
+        explains nothing, so none of its numbers is worth keeping.
         """
         side, own, wide = answer.x.shape[-1], answer.of_texels(texels), self.others[-1].take(texels)
         rows, columns = texels // side, texels % side
@@ -159,7 +159,7 @@ class SharedLobes:
         Args:
             answer: some rows of texels, with the likeliest lobes.
             cost: -2 log of their likelihoods.
-            scored: gives such an answer and its costs from a start.
+            scored: takes steps from a start; gives the answer and its costs.
         """
         x, total, had = answer.x, torch.ones_like(cost), [answer.lobe]
         for lobe in (planes[rows] for planes in self.others):

@@ -1,11 +1,11 @@
-"""Evidence shared by texels that look alike: a texel's prior is what the others say (empirical Bayes).
+"""Evidence shared by texels that look alike: a texel's prior comes from the others (empirical Bayes).
 
-If no photo caught a texel's highlight, its photos say nothing of specular level and roughness; texels of the
-same material do. The model is hierarchical: the number of a texel is that of its basis materials plus
-a deviation of its own, with standard deviation tau. Each basis material has its own tau: gilt may vary where
-the wood around it does not. The posterior of a texel divided by its prior is what its photos alone say. The
-means of the basis materials are averages of these quotients, weighted by precision. Tau follows by
-expectation-maximisation (Dempster et al. 1977; the division is that of expectation propagation, Minka 2001).
+If no photo shows a texel's highlight, its photos do not determine its specular and roughness; texels of the
+same material may do so. The model is hierarchical: a number of a texel is that of its basis materials
+(clusters of similar texels) plus its own deviation, of standard deviation tau. Each basis material has its
+own tau: gilt may vary while the wood around it does not. The posterior of a texel divided by its prior is the
+evidence of its photos alone (as in expectation propagation, Minka 2001). The means of the basis materials are
+precision-weighted averages of this evidence. Tau follows by expectation-maximisation (Dempster et al. 1977).
 """
 
 import math
@@ -25,22 +25,22 @@ from ...views import STRIP, geometry, strips
 KMEANS_ROUNDS, KMEANS_STARTS = 30, 1
 ROUNDS = 10  # of expectation-maximisation; tau changes by less than 1 % afterwards
 LEAST_SPREAD = 0.01  # least tau; below it the common level moves too little in a round
-# largest distance of a texel's own evidence from its prior: a quotient of small differences tells no more
+# largest distance of a texel's own evidence from its prior: the quotient of small differences is inexact
 FARTHEST = 0.15
-LEAST_EVIDENCE = 1.0  # precision below which photos say nothing of a number between 0 and 1
-# mean and deviation of a material of which nothing is known
+LEAST_EVIDENCE = 1.0  # precision below which photos do not determine a number between 0 and 1
+# mean and standard deviation of a number of a material of which nothing is known
 TYPICAL = {"specular": (DIELECTRIC_F0 ** (1 / 2.2), 0.05)}
 UNKNOWN = 0.0, float("inf")
-COMMON = 20.0  # number of texels that the common spread counts as in the spread of each basis material
+COMMON = 20.0  # the mean spread over all texels counts as this many texels in that of each basis material
 NOBODY = 1e-30
 
 
 def appearance_of(capture: Capture, guess: Tensor) -> Tensor:
-    """What a texel looks like whatever the light: M x 5, about 0 to 0.5 each.
+    """The appearance of each texel, whatever the light: M x 5, about -0.25 to 0.5 each.
 
-    Chroma / 4 and lightness / 2 of its mean apparent albedo (falloff and cosine undone), and lightness / 2 of
-    the guess. The mean omits the darkest and the brightest quarter of the photos, which hold shadows and
-    highlights.
+    Chroma / 4 (three numbers) and lightness / 2 of its mean apparent albedo (falloff and cosine undone), and
+    lightness / 2 of the guess. The mean omits the darkest and the brightest quarter of the photos, because
+    of shadows and highlights.
 
     Args:
         capture: N photos with their views.
@@ -54,7 +54,6 @@ def appearance_of(capture: Capture, guess: Tensor) -> Tensor:
 
 
 def _appearance(capture: Capture, guess: Tensor, rows: slice) -> Tensor:
-    """The appearance of the texels in some rows."""
     _, _, irradiance = geometry(capture.views, capture.resolution, rows)
     linear = color.decode(color.shown(capture.stored[:, rows]), capture.transfer)
     albedo = over(math.pi * linear, irradiance).flatten(1, 2).transpose(0, 1)  # M x N x 3
@@ -68,11 +67,11 @@ def _appearance(capture: Capture, guess: Tensor, rows: slice) -> Tensor:
 
 
 def basis_materials(appearance: Tensor, count: int, seed: int) -> Tensor:
-    """The appearance of at most ``count`` basis materials, K x 5: k-means, which depends on the seed alone.
+    """The appearance of at most ``count`` basis materials, K x 5, by k-means; ``seed`` fixes its choices.
 
     Args:
         appearance: of M texels, M x 5 (:func:`appearance_of`).
-        count: K; fewer where there are fewer texels.
+        count: K; fewer if there are fewer texels.
     """
     import cv2
 
@@ -97,7 +96,7 @@ def membership(appearance: Tensor, basis: Tensor, width: float) -> Tensor:
 
 
 class Shared(NamedTuple):
-    """For each number: ``mean`` S x M, deviation ``tau`` S x M from it, ``spread`` S over all texels."""
+    """Prior of shared numbers: ``mean`` and deviation ``tau``, S x M; ``spread``, S: tau over all texels."""
 
     mean: Tensor
     tau: Tensor
@@ -115,14 +114,14 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
         prior_mean: mean of the prior that led to these, S x M.
         prior_precision: its precision (1 / variance), S x M.
         members: gives M x K, of :func:`membership`, in parts of :data:`STRIP` texels.
-        spread: S, tau over all so far.
-        photos: their number if they follow the model; 0: :data:`TYPICAL` does not count. TYPICAL decides
-            where the photos leave a whole material open, such as a broad lobe that looks diffuse. It counts
-            as one texel, and all texels of a basis material as ``photos`` texels: texels that the same photos
-            light err alike. With photos that do not follow the model, TYPICAL would outweigh highlights.
+        spread: tau over all texels so far, S.
+        photos: number of photos if they follow the model; 0 if not: :data:`TYPICAL` is then not used. TYPICAL
+            decides if photos do not determine a whole material: a broad lobe may look diffuse. It counts as
+            one texel. All texels of a basis material count as ``photos`` texels: texels in the same photos
+            have similar errors. If photos do not follow the model, TYPICAL would outweigh highlights.
     """
     def alone() -> Iterator[tuple[Tensor, Tensor, Tensor]]:
-        """In parts: membership, precision of the photos alone, and what they say."""
+        """In parts: membership; precision of the estimate by photos alone; this estimate."""
         numbers = zip(*(each.split(STRIP, dim=1) for each in (x, variance, prior_mean, prior_precision)))
         for member, (here, its, mean, known) in zip(members(), numbers):
             precision = (1 / its - known).clamp_min(1e-3)
@@ -143,7 +142,7 @@ def shared(names: list[str], x: Tensor, variance: Tensor, prior_mean: Tensor, pr
         for member, precision, told in alone():
             weight = 1 / (1 / precision + tau2(member))
             weighted, weights = weighted + (weight * told) @ member, weights + weight @ member
-        # A basis material that is in no texel has weight 0, here and in the mean.
+        # A basis material that no texel has gets weight 0, here and in the mean.
         basis = (weighted + vague * usual) / (weights + vague).clamp_min(NOBODY)
         for member, precision, told in alone():
             mean, before = basis @ member.T, tau2(member)

@@ -1,10 +1,10 @@
 """Levenberg-Marquardt for every texel at once, through Mitsuba's BSDF plugins.
 
-A rectified photo shows a texel in one pixel, so a fit without ties between texels is one small least-squares
-problem a texel: a few unknowns, three values a photo. One thread solves it. Slopes are forward derivatives of
-the plugin; the normal equations stay in registers, and the loop reads nothing but the photos. After Levenberg
-1944, Marquardt 1963 (damping in proportion to the diagonal) and Bertsekas 1982 (an unknown at its bound that
-would leave its range takes no part in the step of the others).
+A rectified photo shows a texel in one pixel. So a fit without ties between texels is one small least-squares
+problem per texel: a few unknowns, three values per photo. One thread solves it. Derivatives are forward
+derivatives of the plugin. The normal equations stay in registers; the loop reads only photos, weights and
+views. After Levenberg 1944, Marquardt 1963 (damping in proportion to the diagonal) and Bertsekas 1982 (an
+unknown at its bound is left out of a step that would move it out of its range).
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from .unknowns import Unknowns, columns_of, pairs_of
 
 @dataclass(frozen=True)
 class Observations:
-    """The photos, and how their errors count: the data cost of a texel is sum_vc w rho(e) / noise^2.
+    """The photos and their weights. The data cost of a texel is w rho(e) / noise^2, summed over its values.
 
     e is rendering minus photo in display values. At a clipped photo value (0.995 and above), e counts only if
     the rendering is too dark.
 
     Args:
-        photos: N x R x R x 3, display values, or as a capture keeps them (:func:`mitsvbrdf.color.shown`).
+        photos: N x R x R x 3, display values; or 8 or 16 bits (:func:`mitsvbrdf.color.shown`).
         transfer: how display values encode light.
         noise: standard deviation of a display value.
         robust: s of the pseudo-Huber rho(e) = 2 s^2 (sqrt(1 + e^2 / s^2) - 1), in display values (Charbonnier
-            et al. 1994); None for e^2. rho never stops growing: a highlight that a start misses is an
-            outlier, but must not be given up.
+            et al. 1994); None for e^2. rho grows without limit: a highlight that a start misses is an
+            outlier, but the fit must still move towards it.
         weights: w of each photo's pixels, N x R x R; None for 1.
-        sensor: noise by brightness (:mod:`.sensor_noise`), which enters w, too; None: the same everywhere.
-        texels: which texels of the material the pixels show, row by row, as many as the pixels; None: all.
+        sensor: noise at each brightness (:mod:`.sensor_noise`), which changes w; None: the same everywhere.
+        texels: for each pixel, the place (row-major index) of its texel in the material; None: all texels.
         side: texels a side of the material; 0: that of the photos.
     """
 
@@ -64,21 +64,21 @@ class Observations:
         object.__setattr__(self, "side", self.side or self.photos.shape[2])
 
     def places(self, rows: slice) -> Tensor:
-        """Places of the texels that some rows of the pixels show."""
+        """Places (row-major indices) of the texels in some rows of the pixels."""
         if self.texels is not None:
             return self.texels[rows]
         return torch.arange(rows.start * self.side, rows.stop * self.side).reshape(-1, self.side)
 
     def of_rows(self, rows: slice) -> Observations:
-        """Some rows of the pixels."""
+        """The observations of some rows of the pixels."""
         return replace(self._of(lambda planes: planes[:, rows]), texels=self.places(rows))
 
     def of_texels(self, texels: Tensor) -> Observations:
-        """The pixels that show some texels of the material; ``texels`` is a square of places."""
+        """The observations of the texels at some places; ``texels`` is n x n."""
         return replace(self._of(lambda planes: planes.flatten(1, 2)[:, texels]), texels=texels)
 
     def read(self) -> tuple[Tensor, Tensor | None]:
-        """Display values and weights of the pixels, float32."""
+        """Display values and weights (None for 1) of the pixels, float32."""
         photos, weights = color.shown(self.photos).float(), self.weights
         weights = None if weights is None else weights.float()
         if self.sensor is not None:
@@ -87,7 +87,7 @@ class Observations:
         return photos, weights
 
     def pick(self, rows: Sequence[int]) -> Observations:
-        """The photos of these rows."""
+        """The observations with only the photos at these positions."""
         return replace(self._of(lambda planes: planes[rows].contiguous()), views=self.views.pick(rows))
 
     def _of(self, part: Callable[[Tensor], Tensor]) -> Observations:
@@ -95,7 +95,7 @@ class Observations:
         return replace(self, photos=part(self.photos), weights=weights)
 
     def without(self, row: int) -> Observations:
-        """All photos but one."""
+        """The observations without the photo at position ``row``."""
         return self.pick([k for k in range(len(self.photos)) if k != row])
 
 
@@ -117,12 +117,12 @@ class Solved:
 
 
 class TexelSolver:
-    """The unknowns of each texel of a material, and Levenberg-Marquardt for them.
+    """Levenberg-Marquardt for the unknowns of each texel of a material.
 
     The unknowns are those of the maps that are not fixed, in the order of
     :data:`mitsvbrdf.material.maps.CHANNELS`: colours channel by channel as linear^(1/2.2), metallic and
-    roughness as they are, the normal as slopes n_x / n_z and n_y / n_z. :attr:`unknowns` says how many
-    unknowns belong to each map, and where they lie; U is their number.
+    roughness as they are, the normal as slopes n_x / n_z and n_y / n_z. :attr:`unknowns` has the number of
+    unknowns of each map and their positions; U is the number of all unknowns.
 
     Args:
         fixed: maps that are known, name -> R x R x C, linear.
@@ -170,21 +170,21 @@ class TexelSolver:
         return SVBRDF(self.bsdf, maps)
 
     def roughness(self, x: Tensor) -> Tensor:
-        """The roughness of unknowns U x R x R, R x R."""
+        """The roughness map, R x R, of unknowns U x R x R."""
         known = self.fixed.get("roughness")
         return x[self.unknowns.slices["roughness"]][0] if known is None else known[..., 0]
 
     def solve(self, observations: Observations, x: Tensor, damping: Tensor, mean: Tensor, precision: Tensor,
               low: Tensor, high: Tensor, iterations: int = 5) -> Solved:
-        """Take up to ``iterations`` Levenberg-Marquardt steps in every texel, none that raises its cost.
+        """Take up to ``iterations`` Levenberg-Marquardt steps in every texel.
 
         The cost is that of the observations plus sum_u precision_u (x_u - mean_u)^2, both without a factor
-        1/2. Steps to a cost that is not finite are refused.
+        1/2. Steps that raise a texel's cost, or make it not finite, are refused.
 
         Args:
-            x: where to start, U x R x R, within the bounds ``low`` and ``high`` (U numbers each).
-            damping: R x R, relative to the diagonal of the normal equations; 0.01 is a fair start.
-            mean, precision: of the prior (1 / variance), U x R x R; 0 for none.
+            x: the start, U x R x R, within the bounds ``low`` and ``high`` (U numbers each).
+            damping: R x R, relative to the diagonal of the normal equations; 0.01 is a good first value.
+            mean, precision: of the prior, U x R x R. A precision (1 / variance) of 0 is no prior.
         """
         with using_mitsuba(self.variant) as mi:
             bounds = *([opaque(mi, v) for v in bound] for bound in (low, high)), opaque(mi, iterations)
@@ -196,21 +196,21 @@ class TexelSolver:
     def variances(self, observations: Observations, x: Tensor, precision: Tensor) -> Tensor:
         """The unknowns' variances given the photos: the diagonal of (J^T W J + precision)^-1, U x R x R.
 
-        The prior's precision must be above 0 where the photos alone do not determine an unknown.
+        The prior's precision must be above 0 if the photos alone do not determine an unknown.
         """
         return self.posterior(observations, x, precision)[0]
 
     def posterior(self, observations: Observations, x: Tensor, precision: Tensor) -> tuple[Tensor, Tensor]:
-        """:meth:`variances`, and the log determinant of J^T W J + precision, R x R."""
+        """The :meth:`variances`, and the log determinant of J^T W J + precision, R x R."""
         with using_mitsuba(self.variant):
             (found,) = self._tiled(observations, lambda kernel, *args: kernel.posterior(*args), x, precision)
         return found[:-1], found[-1]
 
     def normal_equations(self, observations: Observations, x: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        """Data cost R x R, J^T W e U x R x R and J^T W J U x U x R x R at x, float32.
+        """Data cost (R x R), J^T W e (U x R x R) and J^T W J (U x U x R x R) at x, float32.
 
-        J holds the derivatives of the errors by the unknowns, W the weights: w / noise^2, 0 where a clipped
-        value says nothing, times 1 / sqrt(1 + e^2 / s^2) if robust.
+        J: derivatives of the errors with respect to the unknowns. W: w / noise^2, times 1 / sqrt(1 + e^2 /
+        s^2) if robust; 0 if the photo is clipped and the rendering is brighter.
         """
         with using_mitsuba(self.variant):
             (cost,), slope, curve = self._tiled(observations,
@@ -222,9 +222,9 @@ class TexelSolver:
 
     def _tiled(self, observations: Observations, run: Callable[..., Sequence[list]],
                *planes: Tensor) -> list[Tensor]:
-        """Copies of the kernel's results for planes ? x R x R, each ? x R x R, by :func:`.kernel.tiles`.
+        """The kernel's results for planes ? x R x R, computed by :func:`.kernel.tiles`: each ? x R x R.
 
-        The planes may hold only the texels that the observations show. No Dr.Jit array outlives the call.
+        Planes and observations have the same texels. Results are copies: no Dr.Jit array outlives the call.
         """
         (count, side), found = planes[0].shape[1:], list[Tensor]()
         needs, fixed = self._known(observations.views, observations.side)
@@ -251,14 +251,14 @@ class TexelSolver:
         return [from_torch(self.mi, plane) for plane in apart(values.detach().float().unbind())]
 
     def _known(self, views: Views, side: int) -> tuple[Needs, dict[str, Tensor]]:
-        """What the scene needs, and the fixed maps that are read, C x R x R."""
+        """The needs of the scene, and the fixed maps that it reads: a dict, name -> C x R x R."""
         material = unknown_but(self.fixed, self.bsdf, side, self.grey_specular)
         needs = replace(scene_needs(material, views, "mitsuba"), omitted=())
         return needs, {name: value.permute(2, 0, 1) for name, value in needed_maps(material, needs).items()
                        if name in self.fixed}
 
     def _problem(self, observations: Observations) -> dict:
-        """What a kernel needs to know of the observations beside their pixels, as Dr.Jit arrays."""
+        """The parts of a kernel's ``problem`` that all tiles share, as Dr.Jit arrays."""
         mi, views = self.mi, observations.views.in_patch_sides().to(torch.float64)
         problem = {"count": opaque(mi, len(views)), "side": opaque(mi, observations.side),
                    "weight": opaque(mi, observations.noise**-2.0),
@@ -278,9 +278,9 @@ class TexelSolver:
 
 
 def apart(values: Sequence[Tensor]) -> list[Tensor]:
-    """The values, each in its own memory: to Dr.Jit, values that share memory are one variable.
+    """The values, each in its own memory: Dr.Jit treats values that share memory as one variable.
 
-    A frozen function once called with one variable for two arguments takes one for both in later calls.
+    If a frozen function was called with one variable for two arguments, later calls also use one for both.
     """
     places = [value.data_ptr() for value in values]
     return [value.clone() if places[k] in places[:k] else value for k, value in enumerate(values)]

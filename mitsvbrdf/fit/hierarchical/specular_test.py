@@ -1,17 +1,17 @@
-"""Whether a material is matte and needs no specular lobe, decided by photos that follow the model.
+"""Whether a material is matte and needs no specular lobe; decided for photos that follow the model.
 
-The photos are explained without a lobe, until every texel has converged, and two questions are asked.
+The photos are first fitted without a lobe, until every texel has converged. Two tests follow.
 
-* Does a lobe explain more than noise? It has four unknowns a texel, three of specular and the roughness, so a
-  fit with a lobe always leaves smaller errors; of noise, it explains as much as any four unknowns would. That
-  is the F-test of nested models (Fisher 1922). A shiny spot would be lost in a sum over all texels, so single
+* Does a lobe explain more than noise? It adds four unknowns per texel (three of specular, one roughness), so
+  a fit with a lobe always has smaller errors. The F-test of nested models (Fisher 1922) compares the gain
+  with that of any four unknowns in pure noise. A shiny spot would be lost in a sum over all texels. So single
   texels, blocks of 2, 4, 8, ... texels a side and all texels are tested, each so strictly that a matte
   material rarely fails any test by noise (Bonferroni).
-* Would the photos show even a weak lobe? All texels are given the same weak lobe, at each of several
-  roughnesses. It has no unknowns of its own, so likelihoods are compared: with each of these lobes, the
-  photos together must be less likely by so much that a mistake is rare (Wald 1945), and no block may be more
-  likely by so much. So a material is not called matte by photos that cannot tell a lobe from the diffuse
-  colour, such as photos of a broad lobe in noise.
+* Would the photos show even a weak lobe? All texels get the same weak lobe, at each of several roughnesses.
+  It has no unknowns, so likelihoods are compared (Wald 1945). With each of these lobes, the photos together
+  must be so much less likely that a mistake is rare, and no block may be so much more likely. Thus a material
+  is not called matte if the photos cannot distinguish a lobe from the diffuse colour, such as a broad lobe
+  in noise.
 
 Each texel has its own noise: in display values, sensor noise is larger in dark texels than in bright ones.
 """
@@ -38,9 +38,9 @@ from .stages import Stage
 from .starts import other_starts, stepped
 from .texel_prior import LEAST_PRECISION, TexelEstimate, TexelPrior
 
-# the maps of the lobe that may be omitted, by parameter set
+# BSDF -> the maps of the lobe that may be omitted
 LOBE = {"roughconductor": ("specular", "roughness")}
-RARE = 0.05  # how often noise alone may decide a test, or all tests of one kind together
+RARE = 0.05  # probability that noise alone decides a test, or any of all tests of one kind
 WEAK = 0.01  # specular of a weak lobe, linear: half that of water, the lowest of common dielectrics
 WIDTHS = tuple(k / 10 for k in range(1, 11))  # roughnesses of the weak lobe
 STARTS = (0.15, 0.5, 0.85)  # roughnesses from which a fit with a lobe starts, beside those found
@@ -48,7 +48,7 @@ STEPS, ROUNDS = 12, 2  # Levenberg-Marquardt steps, and rounds of half as many f
 
 
 class Search(NamedTuple):
-    """Some unknowns, and what they are searched with."""
+    """A search for some unknowns: the photos and solvers of each size, and the prior."""
 
     scales: Scales
     prior: TexelPrior
@@ -60,7 +60,7 @@ class Search(NamedTuple):
 
 
 def may_be_omitted(task: FitTask) -> bool:
-    """Whether the search for a lobe may be omitted: no map of it is held, and others are fitted."""
+    """Whether the lobe may be omitted: none of its maps is fixed, and diffuse or normal is fitted."""
     lobe = LOBE.get(task.config.bsdf, ())
     others = {"diffuse", "normal"} - set(task.fixed)
     return bool(lobe and others) and not set(lobe) & set(task.fixed)
@@ -74,7 +74,7 @@ def decision_work(scales: Scales) -> int:
 
 
 def without_lobe(search: Search) -> Search:
-    """The search without a lobe: specular is held at 0, roughness at that of the robust start."""
+    """The search without a lobe: specular is fixed at 0, roughness at the mean of the robust start."""
     coarse, config, side = search.scales.of(Stage.ALONE), search.prior.config, search.scales.captures[
         Stage.FINE].resolution
     start = robust_start(coarse.capture, coarse.guess, config.bsdf, coarse.solver.fixed)
@@ -90,12 +90,12 @@ def _lobe(specular: float, roughness: float, side: int) -> dict[str, Tensor]:
 def explained_without(
         answer: TexelEstimate, search: Search, lobeless: Search, noise: Tensor,
         observations: Callable[[Scale, TexelEstimate], Observations]) -> tuple[Scale, TexelEstimate] | None:
-    """The answer without a lobe at full size and its scale; None where the photos may need a lobe.
+    """Full-size scale and answer without a lobe; None if the photos may need a lobe.
 
     Args:
-        answer: of the first stage, with lobes.
+        answer: of the first stage, with a lobe in each texel.
         lobeless: of :func:`without_lobe`.
-        noise: standard deviation of what the answer leaves unexplained, in display values.
+        noise: RMSE of the answer, in display values.
     """
     x, own = answer.x, torch.empty(0)
     sizes = {search.scales.of(stage).capture.resolution: stage for stage in (Stage.FINE, Stage.ALONE)}
@@ -159,12 +159,12 @@ def blocks(*planes: Tensor) -> Iterator[list[Tensor]]:
 
 
 def needed(left: Tensor, less: Tensor, values: Tensor, few: int, many: int) -> bool:
-    """Whether further unknowns lower a block's squared errors by more than noise would, or no value can tell.
+    """Whether more unknowns lower a block's squared errors more than by noise; True if values are too few.
 
     Args:
         left: squared errors of each texel without them, R x R.
-        less: with them.
-        values: how many values of its photos are not clipped.
+        less: with them, R x R.
+        values: number of values in the photos of each texel that are not clipped, R x R.
         few: unknowns of a texel without them.
         many: with them.
     """
@@ -186,13 +186,13 @@ def needed(left: Tensor, less: Tensor, values: Tensor, few: int, many: int) -> b
 
 def shown_if_weak(scale: Scale, photos: Observations, prior: TexelPrior, x: Tensor, left: Tensor,
                   values: Tensor) -> bool:
-    """Whether a weak lobe is likely, or the photos could not tell it.
+    """Whether a weak lobe is likely, or could not be detected in the photos.
 
     Args:
-        scale: without a lobe.
+        scale: of the search without a lobe.
         x: the unknowns that explain the photos best, U x R x R.
         left: their squared errors, R x R.
-        values: how many values of each texel's photos are not clipped.
+        values: number of values in the photos of each texel that are not clipped, R x R.
     """
     side, free, step = x.shape[-1], (values - len(x)).clamp_min(0), values.clamp_min(
         1) * QUANTIZATION_NOISE**2
@@ -201,7 +201,7 @@ def shown_if_weak(scale: Scale, photos: Observations, prior: TexelPrior, x: Tens
     for width in WIDTHS:
         solver.fixed.update(_lobe(WEAK, width, side))
         _, other = least_errors(solver, photos, prior, [x])
-        # -2 log of the likelihoods' ratio, each at its texel's own noise; 8 bits are the most exact photos
+        # -2 log of the likelihood ratio, with each texel's own noise; no photo is more exact than 8 bits
         unlikelier = free * ((other + step) / (left + step)).log()
         *parts, whole = (sums for (sums,) in blocks(unlikelier))
         if not float(whole) >= 2 * math.log(1 / RARE) or any((sums < -2 * math.log(count / RARE)).any()

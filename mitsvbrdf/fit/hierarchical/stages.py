@@ -1,7 +1,7 @@
-"""The stages of the fit: the present one, its rounds, and the noise assumed of its photos.
+"""The stages of the fit: the present one, its rounds, and the assumed noise of the photos.
 
-Photos of a simulation follow the model to the last digit, photos of a phone do not. What the first stage
-leaves unexplained tells which kind they are, and that decides which stages come next.
+Simulated photos follow the model exactly, up to sensor noise; photos of a phone do not. The errors that the
+first stage leaves show which kind the photos are. The kind decides the next stages.
 """
 
 from enum import IntEnum
@@ -20,47 +20,47 @@ from .sensor_noise import STEPS
 class Stage(IntEnum):
     """A stage of the fit."""
 
-    ALONE = 0  # coarse; every texel explains its photos freely
-    MULTI_START = 1  # the same at many roughnesses, and the lobes that texels share; exact photos only
-    TOGETHER = 2  # coarse; texels are tied to those that look alike; photos of a phone only
+    ALONE = 0  # coarse; every texel is fitted alone
+    MULTI_START = 1  # coarse; fits at many roughnesses give lobes that texels share; exact photos only
+    TOGETHER = 2  # coarse; texels are tied to those that look alike; real photos only
     FINE = 3  # full size
 
 
-# Real photos at full size: after a round in which a share below CALM of the texels moved by MOVED, one more
-# round follows. After a round in which other starts saved a share below WORTH of the cost, they are not used.
+# Real photos at full size: if less than CALM (share) of the texels move more than MOVED in a round, the next
+# round is the last. If other starts save less than WORTH (share) of the cost, no more are tried.
 MOVED, CALM, WORTH = 0.01, 0.05, 1e-3
 ROUNDS = {Stage.ALONE: 12, Stage.MULTI_START: 10, Stage.TOGETHER: 12, Stage.FINE: 6}
-LOBE_ROUNDS, ALIKE = 4, 2  # of FINE, if texels share lobes; in the first ALIKE of them, pixels count alike
-ALONE_ROUNDS = 14  # of FINE, for exact photos whose texels share no lobes
+LOBE_ROUNDS, ALIKE = 4, 2  # rounds of FINE with shared lobes; the first few, with one noise for all pixels
+ALONE_ROUNDS = 14  # rounds of FINE for exact photos whose texels share no lobes
 # share of the run at which a stage ends at the latest
 DEADLINE = {Stage.ALONE: 0.15, Stage.MULTI_START: 0.4, Stage.TOGETHER: 0.5}
 
-# Structure that a free fit leaves when coarse (:func:`unexplained`): six known materials 0.0003 to 0.0009
-# without noise and up to 0.004 with noise of 0.003 in linear radiance, twelve real captures 0.009 to 0.053.
+# Structure of the errors of a coarse free fit (:func:`unexplained`); exact photos have less. Six materials:
+# 0.0003 to 0.0009, up to 0.004 with noise of 0.003 in linear radiance. Twelve real captures: 0.009 to 0.053.
 EXACT = 0.006
 
-# of a real photo's display values: sensor, alignment, light that is no point, lobes that are no GGX
+# Noise of real photos in display values: sensor, misalignment, a flash with an area, lobes unlike GGX
 NOISE = 0.03
-LEAST_NOISE = 0.004  # of any photo: one step of 8 bits
-UNTOLD = 1.5  # assumed noise, in multiples of the RMSE that a fit with so many unknowns leaves
-# Factor of the noise a round. Noise starts at NOISE, so that no texel is caught early by a wrong highlight.
+LEAST_NOISE = 0.004  # least assumed noise of any photo: one step of 8 bits
+UNTOLD = 1.5  # assumed noise / RMSE of the fit: its many unknowns explain a part of the noise
+# Factor of the assumed noise in each round. It starts high, at NOISE: texels can leave a wrong highlight.
 EASED = 0.75
 
 
 class Stages:
-    """Where the fit stands: the stage, the number of its rounds begun, and the noise of the present round.
+    """The state of the fit: the stage, the number of its rounds begun, and the noise of the present round.
 
-    Exact photos may have a ``multi_start``: their texels are explained at many roughnesses. ``stated`` says
-    whether the photos are exact; None: their errors decide.
+    ``multi_start``: whether texels of exact photos are fitted at many roughnesses. ``stated``: whether the
+    photos are exact; None: their errors decide.
     """
 
     def __init__(self, multi_start: bool, stated: bool | None = None) -> None:
         self.multi_start, self.stated = multi_start, stated
         self.stage, self.rounds = Stage.ALONE, 0
         self.noise = torch.tensor(NOISE)
-        self.unexplained = torch.full((2,), torch.nan)  # what ALONE left (:func:`unexplained`), once known
-        self.detail = torch.tensor(NOISE)  # noise of photos of a phone at full size
-        self.sensor = torch.full((3, STEPS), torch.nan)  # brightness, noise as seen last, the least ever seen
+        self.unexplained = torch.full((2,), torch.nan)  # errors after ALONE (:func:`unexplained`), once known
+        self.detail = torch.tensor(NOISE)  # noise of real photos at full size; of exact ones, once measured
+        self.sensor = torch.full((3, STEPS), torch.nan)  # brightness, noise measured last, least one measured
         self.hurried = False  # whether the present stage lacked time, or the one before it
         self.early = False  # whether any stage ended before it was finished
         self.last = ROUNDS[Stage.FINE]  # last round of FINE, for real photos
@@ -70,30 +70,30 @@ class Stages:
 
     @property
     def known(self) -> bool:
-        """Whether :attr:`unexplained` tells which kind of photos these are."""
+        """Whether :attr:`unexplained` has values."""
         return not bool(self.unexplained[0].isnan())
 
     @property
     def measured(self) -> bool:
-        """Whether :meth:`measure` was told the noise of exact photos."""
+        """Whether the noise of exact photos has been measured (:meth:`measure`)."""
         return not bool(self.sensor.isnan().any())
 
     @property
     def told_by_brightness(self) -> bool:
-        """Whether pixels count by the noise of their brightness: not while starts are far from highlights."""
+        """Whether noise depends on brightness: not in FINE's first rounds (ALIKE), far from highlights."""
         return self.measured and (self.stage != Stage.FINE or self.rounds > ALIKE)
 
     @property
     def by_brightness(self) -> Tensor:
-        """Brightness, and the noise there: as seen last, or in the very last steps the least ever seen.
+        """Brightness and the noise there, 2 x STEPS: as measured last; in the last steps, the least measured.
 
-        Texels caught by a wrong highlight leave it while noise is high. In the end, a highlight that is only
-        half reproduced must not count as noisy.
+        High noise lets texels leave a wrong highlight. At the end, errors of a highlight that is only half
+        reproduced must not count as noise.
         """
         return self.sensor[[0, 2 if self.closing else 1]]
 
     def measure(self, sensor: Tensor) -> None:
-        """Learn the noise of exact photos by brightness (:mod:`.sensor_noise`)."""
+        """Set the noise of exact photos at each brightness (:mod:`.sensor_noise`)."""
         self.sensor = torch.stack([*sensor, sensor[1].fmin(self.sensor[2])])
         self.detail = self.noise = sensor[1].square().mean().sqrt()
 
@@ -104,12 +104,12 @@ class Stages:
 
     @property
     def tied(self) -> bool:
-        """Whether texels are tied to their look-alikes: real photos, once they are known to be real."""
+        """Whether the photos are known to be real: look-alikes are tied, and freed again at full size."""
         return self.stage != Stage.ALONE and not self.exact
 
     @property
     def settled(self) -> bool:
-        """Whether another round would change little."""
+        """Whether the last stage had all its rounds."""
         rounds = self.last if not self.exact else LOBE_ROUNDS if self.measured else ALONE_ROUNDS
         return self.stage == Stage.FINE and self.rounds >= rounds
 
@@ -119,9 +119,9 @@ class Stages:
         return self.rounds >= ROUNDS[self.stage]
 
     def over(self, progress: float, short: bool = False) -> bool:
-        """Whether the stage ends before the next round, at this share of the run or with too little time.
+        """Whether the stage ends before the next round, at the share ``progress`` of the run or if ``short``.
 
-        What a round takes is not known before the second one.
+        ``short`` (time is too short for a round) counts only after two rounds, which show a round's duration.
         """
         late = self.rounds > 1 and short or self.rounds > 0 and progress >= DEADLINE.get(self.stage, 2.0)
         return self.stage != Stage.FINE and (late or self.finished)
@@ -142,18 +142,18 @@ class Stages:
         return self.stage == Stage.ALONE and self.multi_start and self.exact and not self.matte
 
     def enter(self, stage: Stage, hurried: bool = False) -> None:
-        """Begin a stage, in a hurry or not."""
+        """Begin a stage; ``hurried``: time was too short for a step before it."""
         self.early |= not self.finished
         self.hurried = stage == Stage.FINE and (hurried or not self.finished)
         self.stage, self.rounds = stage, 0
 
     def moved(self, share: float) -> None:
-        """Learn which share of the texels moved by :data:`MOVED` in this round."""
+        """Note the share of texels that moved by more than :data:`MOVED` in this round."""
         if self.stage == Stage.FINE and not self.exact and share < CALM:
             self.last = min(self.last, self.rounds + 1)
 
     def saved(self, share: float) -> None:
-        """Learn which share of the cost other starts saved in this round."""
+        """Note the share of the cost that other starts saved in this round."""
         if self.stage == Stage.FINE and not self.exact and share < WORTH:
             self.others = False
 
@@ -190,10 +190,10 @@ class Stages:
 
 
 def unexplained(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Renderer) -> Tensor:
-    """Structure and RMSE of the errors in display values of usable pixels: two numbers.
+    """Structure and RMSE of the errors of usable pixels in display values: two numbers.
 
-    Structure is the root of the mean product of neighbouring errors: sensor noise has none, a wrong model
-    has. The material found has R x R texels, and so have the photos. 0: no pixels are usable neighbours.
+    Structure is the root of the mean product of the errors of neighbouring pixels: 0 for sensor noise or if
+    no neighbours are usable, more for a wrong model. ``svbrdf`` and the photos have R x R texels.
     """
     with torch.no_grad():
         shown = color.to_display(renderer.render(svbrdf, views), capture.transfer)

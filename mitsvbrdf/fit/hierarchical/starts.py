@@ -1,4 +1,4 @@
-"""Where to start from: other starts of a texel in each round."""
+"""Steps of all texels from a start, and other starts in each round."""
 
 import math
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from .texel_prior import LEAST_PRECISION, TexelEstimate, TexelPrior
 
 DAMPING = 0.01  # first damping of Levenberg-Marquardt
 LESS = 1e-3  # share of its cost that a texel must save to take another start
-# slopes tried as starts, and the angle by which their direction turns from one to the next
+# slopes tried as starts, and the angle by which their direction turns in each round
 TILTS, GOLDEN = (0.15, 0.4, 0.8), math.pi * (3 - math.sqrt(5))
 
 
@@ -49,7 +49,7 @@ def _tilted(answer: TexelEstimate, rows: slice, prior: TexelPrior, steep: float,
 
 
 def tilted(answer: TexelEstimate, prior: TexelPrior, steep: float, along: float) -> TexelEstimate:
-    """Texels of slope ``steep`` towards the angle ``along``, with the shared numbers of their prior."""
+    """Texels of slope ``steep`` towards the angle ``along``; shared numbers are the means of their prior."""
     x = answer.x.clone()
     x[prior.shared] = prior.whole(answer).mean[prior.shared]
     x[prior.slopes] = torch.tensor([steep * math.cos(along), steep * math.sin(along)])[:, None, None]

@@ -1,4 +1,4 @@
-"""What is known of texels before their photos: bounds, a prior, and how texels are tied to each other."""
+"""What is assumed of texels before their photos are used: bounds, a prior, and ties to other texels."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from .unknowns import Unknowns
 
 SHARED = ("specular", "metallic", "roughness")
 BOUNDS = {"roughness": ROUGHNESS_RANGE, "normal": (-3.0, 3.0), "specular": (0.05, 1.0)}  # else 0 to 1
-# Standard deviations of the first prior; that of the diffuse map stays.
+# Standard deviations of the first prior; that of the diffuse map never changes.
 VAGUE = {"diffuse": 0.5, "base_color": 0.5, "specular": 0.1, "metallic": 0.3, "roughness": 0.1, "normal": 0.1}
 KEPT = 2**20  # largest number of texels whose shares of basis materials are kept in memory
-LEAST_PRECISION = 1e-3  # added to the precision of the prior where variances are asked for
-FIXED = 1e-4  # standard deviation of a number that is not to move
+LEAST_PRECISION = 1e-3  # added to the precision of the prior when variances are computed
+FIXED = 1e-4  # standard deviation of a number that must not move
 # How far a texel may leave its tied answer at full size, in units of config.detail_spread: standard
 # deviations at first and at least.
 FREEDOM = {"normal": (0.5, 0.17), "roughness": (0.5, 0.5), "specular": (1.0, 1.0), "metallic": (1.0, 1.0)}
@@ -34,10 +34,10 @@ class TexelEstimate(NamedTuple):
 
     Args:
         x: the unknowns, U x R x R.
-        mean: of the prior, U x R x R; with lobes, the coarse texel with the diffuse mean, 1 x R x R, 16 bits.
-        precision: of the prior, U x R x R; with lobes, the precision of slopes alone, 1 x R x R.
+        mean: of the prior, U x R x R; with lobes, index of the diffuse mean, 1 x R x R, 16 bits.
+        precision: of the prior, U x R x R; with lobes, only that of slopes, 1 x R x R.
         spread: standard deviation of the shared unknowns around those of look-alikes, S.
-        lobe: which of the shared lobes texels have, 8 bits, R x R; empty where they have none.
+        lobe: number of each texel's shared lobe, R x R, 8 bits; empty without lobes.
     """
 
     x: Tensor
@@ -48,7 +48,7 @@ class TexelEstimate(NamedTuple):
 
     @property
     def _changed(self) -> tuple[str, ...]:
-        """Names of the planes that are chosen texel by texel; with lobes also the planes of the prior."""
+        """Names of the planes that are written texel by texel; with lobes also those of the prior."""
         return ("x", "mean", "precision", "lobe") if len(self.lobe) else ("x",)
 
     def where(self, better: Tensor, other: TexelEstimate) -> TexelEstimate:
@@ -72,11 +72,11 @@ class TexelEstimate(NamedTuple):
         return self._replace(**{name: taken(name) for name in ("x", "mean", "precision", "lobe")})
 
     def once(self) -> Tensor:
-        """The precision of the prior; U x 1 x 1 where it is kept once for all texels."""
+        """The precision of the prior; U x 1 x 1 if it is kept once for all texels."""
         return self.precision[:, :1, :1] if self.precision.stride(-1) == 0 else self.precision
 
     def put(self, rows: slice, part: TexelEstimate) -> None:
-        """Write texels of some rows, with lobes also their prior, into these planes."""
+        """Write texels of some rows into these planes; with lobes, also their prior."""
         for name in self._changed:
             getattr(self, name)[..., rows, :] = getattr(part, name)
 
@@ -86,7 +86,7 @@ class TexelEstimate(NamedTuple):
                                 name, planes in zip(self._fields, self) if name != "spread"})
 
     def put_texels(self, texels: Tensor, part: TexelEstimate) -> None:
-        """:meth:`put` of texels at these places."""
+        """Like :meth:`put`, for texels at some places."""
         for name in self._changed:
             planes = getattr(self, name)
             planes[..., texels // planes.shape[-1], texels % planes.shape[-1]] = getattr(part, name)
@@ -97,18 +97,18 @@ class TexelEstimate(NamedTuple):
 
 
 class TexelPrior:
-    """Priors of texels: vague ones, those that look-alikes give, and those around a tied answer."""
+    """Priors of texels: wide ones, those learned from look-alikes, and those around a tied answer."""
 
     def __init__(self, unknowns: Unknowns, config: HierarchicalConfig) -> None:
         self.unknowns, self.config = unknowns, config
         self.shared, self.slopes = unknowns.of(*SHARED), unknowns.of("normal")
         self.diffuse = unknowns.of("diffuse", "base_color")
-        self.names = [unknowns.names[i] for i in self.shared]  # of the shared ones
+        self.names = [unknowns.names[i] for i in self.shared]  # map of each shared unknown
         self.low, self.high = torch.tensor([BOUNDS.get(name, (0.0, 1.0)) for name in unknowns.names]).T
-        self.lobes: tuple[Tensor, ...] = ()  # their means, precisions, S x Q; diffuse means of coarse texels
+        self.lobes: tuple[Tensor, ...] = ()  # means, precisions, S x Q each; diffuse means of coarse texels
 
     def within(self, name: str, low: float, high: float) -> TexelPrior:
-        """The same with other bounds of the numbers of a map."""
+        """The same prior with other bounds of the numbers of a map."""
         other, of = copy(self), self.unknowns.of(name)
         other.low, other.high = (bound.index_fill(0, of, end) for bound, end in
                                  ((self.low, low), (self.high, high)))
@@ -124,13 +124,13 @@ class TexelPrior:
         return each[:, None, None].expand_as(x)
 
     def vague(self, x: Tensor) -> TexelEstimate:
-        """A start with a vague prior around it."""
+        """The estimate ``x`` with a wide prior around it."""
         x = self.bounded(x).contiguous()
         spread = torch.tensor([VAGUE[name] for name in self.names])
         return TexelEstimate(x, x.clone(), self._precision(x, VAGUE.__getitem__), spread)
 
     def whole(self, answer: TexelEstimate) -> TexelEstimate:
-        """Texels with the prior of all numbers; with lobes, only few planes of the prior are stored."""
+        """Texels with the prior of all numbers, U x R x R; with lobes, an answer stores only a part of it."""
         if not len(answer.lobe):
             return answer
         x, of, lobe, (means, precisions, diffuse) = answer.x, self.shared, answer.lobe.long(), self.lobes
@@ -141,11 +141,11 @@ class TexelPrior:
 
     def share(self, answer: TexelEstimate, variance: Tensor, scale: Scale, photos: int, tied: bool,
               corrected: Callable[[Tensor], Tensor] = Tensor.contiguous) -> TexelEstimate:
-        """Look-alikes set the prior of specular and roughness; the present relief sets that of normals.
+        """The answer with a new prior: look-alikes give that of shared unknowns, the relief that of normals.
 
         Args:
             variance: of the unknowns, given photos and prior, U x R x R.
-            tied: whether the photos are those of a phone.
+            tied: whether the photos are real. If so, the relief is ``config.relief``, else learned.
             corrected: corrects the means of the shared unknowns, S x R x R.
         """
         spread, found = answer.spread, None
@@ -169,7 +169,7 @@ class TexelPrior:
         return answer._replace(mean=mean, precision=precision, spread=spread)
 
     def enlarge(self, answer: TexelEstimate, coarse: Scale, fine: Scale, tied: bool) -> TexelEstimate:
-        """An estimate at full size, where tied texels are set free.
+        """An estimate at full size; tied texels are set free.
 
         Shared unknowns of tied texels follow look-alikes (joint upsampling, Kopf 2007).
         """
@@ -192,12 +192,12 @@ class TexelPrior:
         return self.free(answer._replace(x=x))
 
     def free(self, answer: TexelEstimate) -> TexelEstimate:
-        """Let every texel leave its tied answer, which becomes its prior; the diffuse map is hardly held."""
+        """Let every texel leave its tied answer, now the mean of its prior; the prior of diffuse is wide."""
         return answer._replace(mean=answer.x,
                                precision=self._precision(answer.x, lambda name: self._freedom(name)[0]))
 
     def loosen(self, answer: TexelEstimate, variance: Tensor) -> TexelEstimate:
-        """Set the spread around the tied estimate to the present one (expectation-maximisation)."""
+        """Set the prior's deviations from the tied answer to the present ones (expectation-maximisation)."""
         each = answer.precision[:, 0, 0].clone()
         for name in sorted(set(self.unknowns.shapes) & set(FREEDOM)):
             of = self.unknowns.slices[name]
@@ -206,7 +206,7 @@ class TexelPrior:
         return answer._replace(precision=each[:, None, None].expand_as(answer.x))
 
     def fixed_but_diffuse(self, answer: TexelEstimate) -> TexelEstimate:
-        """A prior around the answer by which nothing but the diffuse map may move."""
+        """The answer with a prior around it that lets only the diffuse map move."""
         return answer._replace(mean=answer.x, precision=self._precision(
             answer.x, lambda name: FIXED if name in FREEDOM else VAGUE[name]))
 
@@ -219,7 +219,7 @@ class TexelPrior:
         return first, least, most
 
     def levelled(self, answer: TexelEstimate) -> tuple[TexelEstimate, Tensor]:
-        """The answer with a patch that is flat as a whole, and the mean slopes (float64) that it had."""
+        """The answer with mean slopes 0 of its normals, and the mean slopes (float64) that it had."""
         slope = answer.x[self.slopes].mean(dim=(1, 2))
         x = answer.x.clone()
         x[self.slopes] -= slope[:, None, None]

@@ -1,8 +1,8 @@
-"""The time budget: a step begins only where the steps so far say that it ends within the budget.
+"""The time budget: a step begins only if it will end within the budget, judged by the steps so far.
 
-Work is counted in texels times steps of Levenberg-Marquardt. The time that it takes is learned from the run
-itself: a slow machine does less work, and nobody has to state its speed. Without a budget everything is
-allowed. Work that ends within the budget has the same results as without one.
+Work is counted in texels times steps of Levenberg-Marquardt. The time per unit of work is measured in the run
+itself, so nobody has to state the speed of the machine. A slow machine does less work. Without a budget,
+all work is done. Work that ends within a budget has the same results as without one.
 """
 
 import contextlib
@@ -17,16 +17,16 @@ from torch import Tensor
 from .stages import Stage, Stages
 
 STEPS, OTHER_STEPS = 6, 4  # Levenberg-Marquardt steps of a round, and of another start
-FAR_STEPS = 10  # of another start where texels have lobes, which hold them tightly
+FAR_STEPS = 10  # of another start if texels have lobes: their priors are narrow
 ROUND_STEPS = STEPS + 4 * OTHER_STEPS  # of a round with all starts
 LAST_STEPS = 8  # at the end of the fit
 
-Kind = Literal["solver", "views", "turns"]  # turns of photos that are held out
+Kind = Literal["solver", "views", "turns"]  # "turns": fits with one photo held out
 KINDS: tuple[Kind, ...] = ("solver", "views", "turns")
 
 
 class TimeBudget:
-    """The clock of a run, and the fewest seconds a unit of each kind of work took (first calls compile).
+    """The clock of a run, and the least seconds per unit of each kind of work (first calls also compile).
 
     Args:
         budget: seconds that the run may take; None for no limit.
@@ -46,7 +46,7 @@ class TimeBudget:
 
     @contextlib.contextmanager
     def timed(self, kind: Kind, work: float) -> Iterator[None]:
-        """Learn how long ``work`` takes."""
+        """Measure how long ``work`` takes."""
         began = self.clock()
         yield
         if work:
@@ -60,11 +60,11 @@ class TimeBudget:
         return LAST_STEPS if self.stages.tied else 0
 
     def in_time(self, work: float, kind: Kind = "solver", beside: int = 0) -> bool:
-        """Whether work, and the steps that must follow it, can end in time.
+        """Whether ``work``, and the steps that must follow it, can end in time.
 
         Args:
-            work: texels times steps of the solver, or times renderings from all views. Of a kind that was not
-                done yet, a unit takes as long as one of the solver.
+            work: texels times steps of the solver, or times renderings from all views. A kind not measured
+                yet is assumed to take as long per unit as the solver.
             beside: further steps of the solver at full size.
         """
         solver = self.rates.get("solver", 0.0)
@@ -72,7 +72,7 @@ class TimeBudget:
                 + solver * (self.to_come + beside) * self.full)
 
     def steps(self, most: int, keep: int = 0) -> int:
-        """Solver steps at full size that end in time, less ``keep`` for later work; from 1 to ``most``."""
+        """Solver steps at full size that end in time, minus ``keep`` for later work; from 1 to ``most``."""
         seconds = self.rates.get("solver", 0.0) * self.full
         return max(1, int(min(most, (self.end - self.clock()) / seconds - keep))) if seconds else most
 

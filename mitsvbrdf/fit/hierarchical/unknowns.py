@@ -1,4 +1,4 @@
-"""The unknowns of a texel by map, and the derivatives by them that a solver computes."""
+"""The unknowns of a texel, grouped by map, and the derivatives that a solver computes."""
 
 from typing import NamedTuple
 
@@ -9,7 +9,7 @@ from ...io.layout import Layout
 
 
 class Unknowns(Layout):
-    """Which of a texel's U numbers belong to which map; values of all texels are tensors U x R x R."""
+    """The maps that a texel's U numbers belong to; values of all texels are tensors U x R x R."""
 
     @property
     def names(self) -> list[str]:
@@ -22,9 +22,9 @@ class Unknowns(Layout):
 
 
 class Column(NamedTuple):
-    """A derivative by a map (normal: along one of two axes), and its unknowns for red, green and blue.
+    """A derivative by a map (normal: by one of its slopes); ``places``: its unknown for each colour channel.
 
-    A channel of the radiance depends on this channel of a colour alone, so one forward pass serves all.
+    Each channel of the radiance depends only on this channel of a colour, so one forward pass serves all.
     """
 
     name: str

@@ -13,25 +13,25 @@ from ...views import Views
 from ..task import Refined
 from .stages import Stage
 
-# Rounds of a stage after which the flash moves to level the patch, and the share of that move that is made.
+# Rounds of a stage after which the flash moves to level the patch; the share of this move that is made.
 LEVELLED, DAMPED = {Stage.ALONE: (5, 7, 9)}, 0.65
 # rounds after which the views are refined; of FINE the last but one
 REFINED = {Stage.ALONE: (12,), Stage.TOGETHER: (3, 5, 7, 9)}
-TILTED = 0.03  # patch sides by which the flash seems moved where the patch is not level
+TILTED = 0.03  # standard deviation of apparent flash moves that come from a tilted patch, in patch sides
 # Unknowns of stated views whose usual error is learned from the photos (empirical Bayes).
 LEARNED = [UNKNOWNS.index("camera_z"), UNKNOWNS.index("log_exposure")]
 WIDEST = 10.0  # largest learned error, in multiples of the usual error of such a calibration
-FEW_STEPS = 10  # of refining views that were not stated: they move far, and again after the next rounds
+FEW_STEPS = 10  # of a refinement, if views are always refined: they move far, and again in later rounds
 
 
 class ViewCorrections:
-    """Changes of the stated views, N x 7 by :data:`mitsvbrdf.calibrate.refine.CHANGE`, and how sure they are.
+    """Changes of the views, N x 7 (:data:`mitsvbrdf.calibrate.refine.CHANGE`), and their standard deviations.
 
     Args:
-        capture: photos with the stated views, at full size.
-        refined: when the views may move: ``always`` where they were estimated from photos or are a default,
-            ``unless exact`` where they were stated (photos that follow the model say that they are right).
-        fits_offset: whether a flash offset that all photos share is among what may change.
+        capture: photos with the views to change, at full size.
+        refined: when the views may move: ``never``; ``always`` (estimated from photos, or ``--calibrate``);
+            ``unless exact`` (stated views: photos that follow the model confirm them).
+        fits_offset: whether a flash offset that all photos share may change, too.
     """
 
     STATE = "change", "deviation", "flash_deviation", "off", "skipped"
@@ -45,11 +45,11 @@ class ViewCorrections:
         self.off = torch.tensor([priors.camera[2], priors.exposure], dtype=torch.float64)
         self.change = torch.zeros(len(capture), CHANGE.size, dtype=torch.float64)
         self.deviation, self.flash_deviation = torch.zeros_like(self.change), self.change.new_zeros(2)
-        self.skipped = torch.zeros(())  # 1 where a refinement was omitted for lack of time
+        self.skipped = torch.zeros(())  # 1 if a refinement was omitted for lack of time
 
     @property
     def priors(self) -> Priors:
-        """How far the views may be off, as far as the photos have told it."""
+        """The usual errors of the views; those of camera height and exposure as learned from the photos."""
         height, exposure = self.off.tolist()
         return replace(self.usual, camera=(*self.usual.camera[:2], height), exposure=exposure)
 
@@ -58,7 +58,7 @@ class ViewCorrections:
         return moved(views, self.change)
 
     def may_move(self, tied: bool) -> bool:
-        """Whether the views are refined now; ``tied``: the photos are known to be a phone's."""
+        """Whether the views may be refined now; ``tied``: the photos are known to be real."""
         return self.refined == "always" or self.refined == "unless exact" and tied
 
     def begun(self, in_time: bool) -> bool:
@@ -67,15 +67,15 @@ class ViewCorrections:
         return in_time
 
     def leave(self, stage: Stage, rounds: int, tied: bool) -> None:
-        """Remember whether a stage that ends after ``rounds`` rounds has missed some of its refinements."""
+        """Note in ``skipped`` if a stage that ends after ``rounds`` rounds missed some of its refinements."""
         self.begun(not self.may_move(tied) or rounds >= max(REFINED.get(stage, (0,))))
 
     def level(self, slope: Tensor) -> None:
-        """Move the flash of all photos by one offset, for a mean slope taken out of the normals.
+        """Move the flash of all photos by one offset, which replaces a mean slope removed from the normals.
 
-        Normals of slope s show their highlights s z beside the place below the camera, as flat normals do
-        with a flash 2 s z beside the camera. A refinement with frozen maps cannot find such an offset: their
-        diffuse map has adapted to the flash, and holds it.
+        With a camera at height z, normals of slope s move highlights by s z, as flat normals do with a flash
+        2 s z beside the camera. A refinement with frozen maps cannot find this offset: the diffuse map has
+        adapted to the present flash.
 
         Args:
             slope: mean slopes of the normals, two float64 numbers.
@@ -87,7 +87,7 @@ class ViewCorrections:
         flash += DAMPED * (variance / (variance + TILTED**2) * said - common)
 
     def refine(self, svbrdf: SVBRDF, capture: Capture, renderer: Renderer | None = None) -> None:
-        """Refine camera and flash with the maps so far; stated views start at the earlier changes."""
+        """Refine the views with the present maps, from the earlier changes; if ``always``, from no change."""
         start = None if self.refined == "always" else self.change
         found = refine_views(svbrdf, capture.views, capture, self.priors, self.steps, start, renderer)
         self.change, self.deviation = found.change, found.deviation

@@ -1,4 +1,4 @@
-"""Where the renderers stop being right: sweeps to the ends of every range against float64."""
+"""Where the renderers become wrong: sweeps to the ends of every range, compared with float64."""
 
 from .run import stability
 from .sweeps import SWEEPS

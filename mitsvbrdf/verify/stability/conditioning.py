@@ -1,7 +1,7 @@
-"""What a texel's photos say about its maps: condition numbers of Jacobians.
+"""How well photos determine the maps of a texel: condition numbers of Jacobians.
 
-The rows of the Jacobian are one texel's display values in all views (3 N: a fit compares them, and their
-noise is about even). The columns are its map values in units of their range: 1 for colours, metallic and
+The rows of the Jacobian are one texel's display values in all views (3 N; a fit compares them, and their
+noise is about uniform). The columns are its map values in units of their range: 1 for colours, metallic and
 roughness, 1 rad in the tangent plane for the normal (9 for ``roughconductor``, 7 for ``principled``). Texels
 are independent, so one backward pass of the sum over the texels gives one row for all of them.
 """
@@ -65,7 +65,7 @@ def condition(jacobians: Tensor) -> dict[str, float | None]:
 
 
 def disturbed(svbrdf: SVBRDF) -> SVBRDF:
-    """A valid material a little off: colours and metallic by up to 0.05, roughness 10 %, normals 1 degree."""
+    """The material changed at random: colours, metallic by up to 0.05, roughness 10 %, normals 1 degree."""
     rng = torch.Generator().manual_seed(5)
     maps = {}
     for name, value in svbrdf.maps.items():

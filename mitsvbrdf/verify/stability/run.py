@@ -1,6 +1,6 @@
-"""The run: every configuration through every renderer, as one record, with a verdict on each.
+"""A stability run: all renderers render all configurations, and each result gets a verdict, in one record.
 
-The verdict ``clamped`` names the clamp of the model that acts.
+The verdict ``clamped`` names the active clamps of the model.
 """
 
 import math
@@ -28,7 +28,7 @@ from .conditioning import condition, disturbed, jacobian
 from .sweeps import SWEEPS, Case
 
 SCHEMA_VERSION = 2
-# an entry above this share of its texel's gradient exceeds float32's rounding: a 0 in its place is a fault
+# an entry above this share of its texel's gradient is more than float32's rounding: 0 instead is a fault
 ABOVE_ROUNDING = 1e-5
 
 
@@ -36,10 +36,10 @@ ABOVE_ROUNDING = 1e-5
 def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEPS),
               report: Report = lambda text, share: None) -> dict:
     """Run sweeps, keys of :data:`SWEEPS`, and give a verdict on each configuration and renderer. float64 is
-    the reference, and need not be among the renderers.
+    the reference; it need not be among the renderers.
 
-    Returns a record for JSON, without NaN; docs/results/stability.md shows it. ``violations`` lists what came
-    out worse than expected.
+    Returns a record for JSON, without NaN; docs/results/stability.md shows it. ``violations`` lists
+    results that are worse than expected.
     """
     cases = [case for key in sweeps for case in SWEEPS[key][1]()]
     rows = []
@@ -54,7 +54,7 @@ def stability(renderers: Sequence[Renderer], sweeps: Sequence[str] = tuple(SWEEP
 
 
 def violations(rows: Sequence[dict]) -> list[dict]:
-    """What came out worse than expected: ``sweep``, ``label``, ``renderer``, ``what``."""
+    """Results that are worse than expected: ``sweep``, ``label``, ``renderer``, ``what``."""
     found = []
     for each in rows:
         where = {"sweep": each["sweep"], "label": each["label"]}
@@ -78,7 +78,7 @@ def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
         kind, why = verdict({"refused": str(error)}, {})
         return row | {"renderers": {r.name: {"verdict": kind, "why": why} for r in renderers}}
     twin, photos, cotangent = make_renderer("analytic64"), None, None
-    if case.transfer is not None:  # the photometric loss, on photos of a material a little different
+    if case.transfer is not None:  # the photometric loss, on photos of a slightly different material
         with torch.no_grad():
             photos = color.to_display(twin.render(disturbed(case.svbrdf), case.views), case.transfer)
             image = twin.render(case.svbrdf, case.views)
@@ -98,11 +98,11 @@ def measured(case: Case, renderers: Sequence[Renderer]) -> dict:
 
 
 def _figures(renderer: Renderer, case: Case, exact: Measured, photos: Tensor | None) -> dict:
-    """Errors, and counts of values that are not finite or were set to 0; or why the renderer refused."""
+    """Errors, and counts of values that are not finite or were set to 0; or ``refused``: the message."""
     try:
         if photos is None or case.transfer is None:
             found = render_and_gradients(renderer, case.svbrdf, case.views)
-        else:  # of the photometric loss, in the renderer's own precision
+        else:  # gradients of the photometric loss, in the renderer's own precision
             leaves = case.svbrdf.map(lambda t: t.detach().clone().requires_grad_())
             drawn = renderer.render(leaves, case.views)
             slopes = torch.autograd.grad(photometric(drawn, photos.to(drawn), case.transfer),
@@ -118,14 +118,14 @@ def _figures(renderer: Renderer, case: Case, exact: Measured, photos: Tensor | N
         | {name: _relative(*pair) for name, pair in gradients.items()},
         "not_finite": {"image": _not_finite(image)}
         | {name: _not_finite(g) for name, (g, _) in gradients.items()},
-        # entries that came back as 0 though they are not small beside the others of their texel
+        # entries that are 0, although in the reference they are not small beside the others of their texel
         "silenced": {name: int(((got == 0) & (wanted.abs() > ABOVE_ROUNDING * wanted.norm(
             dim=-1, keepdim=True))).sum()) for name, (got, wanted) in gradients.items()},
     }
 
 
 def _relative(found: Tensor, reference: Tensor) -> float | None:
-    """|found - reference| / |reference|, 0 where both are 0; None for infinite."""
+    """|found - reference| / |reference|; 0 if both are 0, None if infinite."""
     off, size = ((x.flatten() if x.numel() else x.new_zeros(1)).norm()
                  for x in (found.double() - reference, reference))
     return 0.0 if off == 0 else float(off / size) if math.isfinite(float(off / size)) else None
@@ -136,7 +136,7 @@ def _not_finite(tensor: Tensor) -> int:
 
 
 def _limit(twin: Renderer, case: Case, exact: Measured, cotangent: Tensor | None) -> dict[str, float]:
-    """Relative L2 change by one rounding of every normal, over the compared texels."""
+    """Relative L2 change over the compared texels if every normal is rounded once."""
     limit = float32_limit(twin, case.svbrdf, case.views, exact, cotangent)
     pick = slice(None) if case.texels is None else case.texels
     pairs = {"image": (limit.image[:, pick], exact.image[:, pick])} | {
@@ -145,8 +145,8 @@ def _limit(twin: Renderer, case: Case, exact: Measured, cotangent: Tensor | None
             for name, (change, value) in pairs.items()}
 
 
-# From best to worst. ``degraded``: the error is as large as conditioning explains. ``limited``: larger, by a
-# known cause, within a stated bound. The last two are never accepted, ``refused`` only for invalid input.
+# From best to worst. ``degraded``: conditioning explains the error. ``limited``: the error is larger, but
+# within a stated bound of a known cause. The last two are never accepted, ``refused`` only for invalid input.
 VERDICTS = ("exact", "clamped", "degraded", "limited", "refused", "wrong", "not finite")
 
 
@@ -155,11 +155,11 @@ def verdict(figures: Mapping, limit: Mapping[str, float], clamps: Sequence[str] 
     """One of :data:`VERDICTS`, and the reason.
 
     ``figures`` has ``errors``: relative L2 error of ``image`` and of each map's gradient, None for infinite.
-    It also has ``not_finite`` and ``silenced``: counts of such values, by the same names. Or it has only
-    ``refused``, the error message. ``limit`` is what one rounding of every normal changes
-    (:func:`mitsvbrdf.verify.float32_limits.float32_limit`), by the names of ``errors``; empty if it was not
-    computed. Measured errors reach a third of it where nothing else is wrong. ``clamps``: names of the clamps
-    that act; ``known``: the largest error that is known and explained, and its cause.
+    It also has ``not_finite``, with the same keys, and ``silenced``, by map: counts of such values. Or it has
+    only ``refused``, the error message. ``limit``: the relative change if every normal is rounded once
+    (:func:`mitsvbrdf.verify.float32_limits.float32_limit`), with the keys of ``errors``; empty if it was not
+    computed. Measured errors reach a third of it if nothing else is wrong. ``clamps``: names of the active
+    clamps. ``known``: the largest error that a known cause explains, and this cause.
     """
     if "refused" in figures:
         return "refused", figures["refused"]
@@ -204,17 +204,17 @@ def _index_cut(case: Case, radiance: Tensor) -> bool:
     return bool(((f0 < F0_RANGE[0]) | (f0 > F0_RANGE[1])).any())
 
 
-# By the name in a verdict: whether the clamp changes a value or gradient of a case with this radiance. No
+# Name in a verdict -> function: does the clamp change a value or gradient of a case with this radiance? No
 # other clamp acts in the sweeps.
 CLAMPS: dict[str, Acts] = {
     # D is 1 / (pi alpha^2) at its peak. Without a bound it overflows float32 at r = 1e-10, and one rounding
-    # of the normal changes it by 6e-8 / alpha of D. Below, the image stays and roughness has gradient 0.
+    # of the normal changes D by 6e-8 D / alpha. Below the bound, roughness has no effect and gradient 0.
     f"alpha >= {MIN_ALPHA['roughconductor']:g}": _smoother_than("roughconductor"),
-    # The bound of the plugin itself. Below, only the diffuse lobe depends on roughness.
+    # The bound of the plugin itself. Below it, only the diffuse lobe depends on roughness.
     f"alpha >= {MIN_ALPHA['principled']:g}": _smoother_than("principled"),
-    # The refractive index is infinite at F0 = 1, its slope at F0 = 0. Beyond, F is proportional to F0.
+    # The refractive index is infinite at F0 = 1, and its slope at F0 = 0. Outside, F is proportional to F0.
     f"index for F0 in [{F0_RANGE[0]:g}, {F0_RANGE[1]:g}]": _index_cut,
-    # The power curve is vertical at 0: below the toe it is its chord, of slope 1282.
+    # The power curve is vertical at 0. Below the toe, its chord of slope 1282 replaces it.
     "toe of gamma 2.2": lambda case, radiance: case.transfer == "gamma2.2" and bool((radiance < TOE).any()),
     # A burnt-out photo value is only a lower bound: the gradient is 0 where the rendering is brighter.
     "burnt-out photos": lambda case, radiance: case.transfer is not None and bool((radiance >= 1).any()),

@@ -14,13 +14,13 @@ from ...render.analytic import MIN_ALPHA
 from ...views import Views, nine_view_grid, texel_positions
 
 CASE_SIDE = 16  # texels along a side of most materials: 256 texels, each a case of its own
-TAKEN_APART_SIDE = 64  # larger materials are compared, without limits and condition numbers
+TAKEN_APART_SIDE = 64  # larger materials are compared without limits and condition numbers
 
 GRID = nine_view_grid()
 # camera and light are 15 to 20 degrees from the half vector
 APART = Views.of(GRID.camera, GRID.camera + torch.tensor([1.5, -0.3, 0.1]), GRID.intensity)
 
-# Known errors of Mitsuba's plugins beyond the rounding of a normal: largest relative L2, and cause.
+# Known errors of Mitsuba's plugins above rounding of a normal. Renderer -> (largest relative L2, cause).
 Known = Mapping[str, tuple[float, str]]
 
 
@@ -42,21 +42,21 @@ HIT = {
 class Case:
     """One configuration.
 
-    It is expected to come out finite, and as exact as float32 and its conditioning allow, unless ``refused``
-    or ``known`` say otherwise.
+    Its results must be finite, and as exact as float32 and its conditioning allow, except with ``refused`` or
+    ``known``.
     """
 
     sweep: str  # key of SWEEPS
     label: str  # what is special about it
-    value: float | None  # its place on the axis of the sweep's plot; None: it has none
-    svbrdf: SVBRDF  # the material, float32, valid
-    views: Views  # camera and light positions, valid
+    value: float | None  # x in the sweep's plot; None: not plotted
+    svbrdf: SVBRDF  # the material, float32; valid unless ``refused``
+    views: Views  # camera and light positions; valid unless ``refused``
     texels: Tensor | None = None  # R x R, bool: which texels are compared; None for all
     # if given, gradients are those of the photometric loss, on photos of a slightly different material with
     # this transfer function; else those of the product of the image with fixed random numbers
     transfer: color.Transfer | None = None
-    refused: bool = False  # whether maps or views are invalid, and have to be refused as such
-    known: Known = field(default_factory=dict)  # by renderer: largest relative error allowed, its cause
+    refused: bool = False  # whether maps or views are invalid, and must raise an error
+    known: Known = field(default_factory=dict)  # renderer -> (largest relative error allowed, its cause)
 
     def display(self, radiance: Tensor) -> Tensor:
         """What a fit sees: display values. With a transfer function, they are clipped as in photos."""
@@ -70,8 +70,8 @@ class Case:
 
 def material(bsdf: Bsdf = "roughconductor", side: int = CASE_SIDE, normal: Tensor | None = None,
              **values: float | tuple | Tensor) -> SVBRDF:
-    """Random maps: F0 0.02 to 0.92, roughness 0.15 to 0.95, normals tilted by about 8 degrees. ``values``, by
-    map name, replace maps: numbers, colours or maps.
+    """Random maps: F0 0.02 to 0.92, roughness 0.15 to 0.95, normals tilted by about 8 degrees. ``values``
+    replace maps: map name to a number, colour or map.
     """
     maps = dict(random_material(bsdf, side, slope=0.1).maps)
     if "specular" in maps:
@@ -82,7 +82,7 @@ def material(bsdf: Bsdf = "roughconductor", side: int = CASE_SIDE, normal: Tenso
 
 
 def aimed(bsdf: Bsdf, views: Views, roughness: float) -> SVBRDF:
-    """Normals within three alpha of some view's half vector: every texel is in a highlight."""
+    """Normals within about three alpha of a view's half vector: every texel is in a highlight."""
     rng = torch.Generator().manual_seed(1)
     v = views.in_patch_sides()
     index = torch.arange(CASE_SIDE * CASE_SIDE).reshape(CASE_SIDE, CASE_SIDE) % len(v)
@@ -95,8 +95,8 @@ def aimed(bsdf: Bsdf, views: Views, roughness: float) -> SVBRDF:
 
 
 def tilted(degrees: float, towards: float | None = None) -> Tensor:
-    """Normals R x R x 3 at this angle to the normal of the patch. Rows with azimuths along an axis and rows
-    with random ones alternate. With ``towards`` all azimuths are this one, in degrees from x towards y.
+    """Normals R x R x 3 at this angle to the normal of the patch. Even rows have azimuths along an axis, odd
+    rows random ones. ``towards``: one azimuth for all normals, in degrees from x towards y.
     """
     angle = torch.deg2rad(torch.tensor(degrees, dtype=torch.float64))
     azimuth = 2 * torch.pi * torch.rand(CASE_SIDE, CASE_SIDE, generator=torch.Generator().manual_seed(2),
