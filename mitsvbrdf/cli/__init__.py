@@ -1,8 +1,8 @@
 """The command line: parse, call, print, exit code.
 
-Exit code 0 is success, also of a fit or relight that Ctrl-C ended with a result. 1: a check does not hold, or
-a part of the work failed. 2: the caller made a mistake. 130: Ctrl-C came without a result, or with work left.
-Only the module of the chosen command is imported: the list of commands loads neither torch nor Mitsuba.
+Exit code 0: success; also a fit or relight that Ctrl-C ended, if there is a result. 1: a check failed, or a
+part of the work failed. 2: the caller made a mistake. 130: Ctrl-C left no result, or left work undone.
+Only the module of the chosen command is imported, so the list of commands loads neither torch nor Mitsuba.
 """
 
 import ast
@@ -25,13 +25,13 @@ from .renamed import with_new_names
 
 COMMANDS = ("capture", "fit", "batch", "library", "guess", "render", "evaluate", "compare", "crosscheck",
             "stability", "bench", "synth", "doctor", "export", "relight", "report", "sheet", "demo")
-FITTING = ("fit", "batch")  # these have the options of the methods
+FITTING = ("fit", "batch")  # their options depend on the method
 RESUMED = ("fit", "relight")  # --resume continues an unfinished run of these
-MOST = {"resolution": 16384, "size": 16384, "repeats": 10_000, "frames": 100_000}  # memory, or days
+MOST = {"resolution": 16384, "size": 16384, "repeats": 10_000, "frames": 100_000}  # for memory and time
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command that the arguments name (default: those of the process); return the exit code."""
+    """Run a command, and return the exit code. Default of ``arguments``: those of the process."""
     arguments = with_new_names(sys.argv[1:] if arguments is None else arguments)
     if arguments == ["--version"]:
         print(f"mitsvbrdf {__version__}")
@@ -43,7 +43,7 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _interruptible(arguments: list[str]) -> int:
-    """Run a command. If a Ctrl-C still waits to be raised when the command ends or fails, raise it."""
+    """Run a command. At its end, raise KeyboardInterrupt if Ctrl-C came during an import."""
     try:
         return _run(arguments)
     finally:
@@ -52,14 +52,14 @@ def _interruptible(arguments: list[str]) -> int:
 
 
 def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:
-    """The function of a command. ``fit`` and ``batch`` have the options of the method that arguments name."""
+    """The function of a command. ``fit``, ``batch``: ``arguments`` choose the method and so the options."""
     function = getattr(importlib.import_module(f".{name}", __name__), name)
 
     @functools.wraps(function)
     def checked(*values: Any, **options: Any) -> int:
         for option, value in inspect.signature(function).bind(*values, **options).arguments.items():
             check_numbers(option, value)
-        with refused(options.get("strict", False) and name != "batch"):  # `batch` tells its workers
+        with refused(options.get("strict", False) and name != "batch"):  # `batch` passes it to its workers
             return function(*values, **options)
 
     if name in FITTING:
@@ -69,7 +69,7 @@ def command(name: str, arguments: Sequence[str] = ()) -> Callable[..., int]:
 
 
 def check_numbers(name: str, value: object) -> None:
-    """Raise ConfigError for an option whose number is NaN or too large for every command."""
+    """Raise ConfigError if a number of an option is NaN, or too large for every command."""
     if is_dataclass(value):
         for each in fields(value):
             check_numbers(each.name, getattr(value, each.name))
@@ -82,7 +82,7 @@ def check_numbers(name: str, value: object) -> None:
 
 
 def _run(arguments: list[str]) -> int:
-    """Run the command that the arguments begin with. If they name no command, show all commands."""
+    """Run the command named by the first argument. Else print all commands, an error or a completion."""
     import tyro
 
     check_names(*arguments)
@@ -91,7 +91,7 @@ def _run(arguments: list[str]) -> int:
     if name in COMMANDS:
         try:
             check_names(os.getcwd())
-        except FileNotFoundError:  # torch does not load there
+        except FileNotFoundError:  # torch cannot be imported there
             raise ConfigError("a current folder", "one that was deleted",
                               "type cd to one that is there") from None
         if name in FITTING:

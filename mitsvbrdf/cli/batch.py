@@ -34,12 +34,12 @@ from .options import Strict
 
 USUAL, USUAL_BATCH = FitOptions(), BatchSettings()
 INTERRUPTED = 130
-TOLD = 20  # failures that are told one by one
+TOLD = 20  # failures that are printed, at most
 
 
 def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="captures", help=(
-              "Captures, folders of captures, URLs, or list files. A line of a list file is a capture, then "
-              "the options for it alone."), help_behavior_hint="(required)")],
+              "Captures, folders of captures, URLs, or list files. A line of a list file: a capture, then "
+              "options for this capture only."), help_behavior_hint="(required)")],
           out: Annotated[str, arg(aliases=["-o"], metavar="LIBRARY", help=(
               "The library: a folder that all workers see, or a URL like s3://bucket/library."))],
           config: Settings, shared: OmitArgPrefixes[FitOptions] = USUAL,
@@ -47,9 +47,9 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
           method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"], arg(
               help="How to fit. `batch --method gan --help` shows the options of gan.")] = "hierarchical",
           pages: Annotated[Literal["all", "none"], arg(
-              help="none: only maps, uncertainty, fit.json and preview, in a sixth of the space.")] = "all",
+              help="none: write only maps, uncertainty, fit.json and preview, a sixth of the size.")] = "all",
           tag: UseAppendAction[Annotated[tuple[str, ...], arg(
-              help="Words to search these materials by, separated by commas.")]] = (),
+              help="Search words for these materials, separated by commas.")]] = (),
           sheet: Annotated[float | None, arg(metavar="CM", help=(
               "Measured size of the printed sheet of tags around the material in raw photos."))] = None,
           strict: Strict = False, advanced: Advanced = False) -> int:
@@ -60,7 +60,7 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
     have changed. With --retry-failed it also fits captures that failed. Raw photos are first made into a
     capture. Ctrl-C waits for the running fits. A second Ctrl-C ends them.
 
-    LIBRARY holds a folder for each material, the page index.html (you can open it while the batch runs),
+    LIBRARY contains a folder for each material, the page index.html (you can open it while the batch runs),
     library.json for pandas, and failed/ with the reason and the log of each capture that failed. The exit
     code is 1 if a capture failed or could not be read. `batch` needs Ray: pip install 'mitsvbrdf[batch]'.
     """
@@ -93,7 +93,7 @@ def batch(names: Annotated[Positional[list[str]], arg(metavar="CAPTURE", name="c
 
 
 def with_own_options(entry: Entry, base: Asked) -> Asked:
-    """What is asked of a capture: the options of the command line, changed by those of its line in a list."""
+    """The options for one capture: those of its line in a list override those of the command line."""
     if not entry.own:
         return replace(base, entry=entry)
     import tyro
@@ -118,7 +118,7 @@ def with_own_options(entry: Entry, base: Asked) -> Asked:
 
 
 def _from_list(asked: Asked, common: FitConfig) -> Asked:
-    """The options; files of the line lie beside the list, those of the command in the current folder."""
+    """The same options. If the line names files, relative files of the command become absolute paths."""
     config = asked.config
     before = common if isinstance(config, type(common)) else type(config)()
     if set(config.files) <= set(before.files):
@@ -130,7 +130,7 @@ def _from_list(asked: Asked, common: FitConfig) -> Asked:
 
 
 def check_asked(asked: Asked) -> None:
-    """Raise ConfigError if a number is out of range, or if a file of the settings is missing."""
+    """Raise ConfigError if a number is out of range, or if a file named in the settings is missing."""
     with told_with(asked.entry.where):
         check_numbers("", asked)
         if asked.sheet is not None:
@@ -141,7 +141,7 @@ def check_asked(asked: Asked) -> None:
 
 
 def _plain(box: str) -> str:
-    """The sentence in an error box of tyro: the text from its title to the next rule or empty line."""
+    """The message in an error box of tyro: the lines below its title, up to a rule or an empty line."""
     lines = [line.strip("│╭╮╰╯ ").strip("─-") for line in re.sub(r"\x1b\[[0-9;]*m", "", box).splitlines()]
     return " ".join(itertools.takewhile(bool, itertools.dropwhile(lambda line: not line, lines[1:])))
 
@@ -151,7 +151,7 @@ def _split(tags: Sequence[str]) -> tuple[str, ...]:
 
 
 def _say_stock(stock: Stock, results: ResultStore) -> None:
-    """Print what the library has already, and what is left."""
+    """Print the notes, the number of captures to fit, and the numbers of those done or failed before."""
     for note in stock.notes:
         say(note)
     known = [f"{count} {what}" for count, what in (
@@ -160,7 +160,7 @@ def _say_stock(stock: Stock, results: ResultStore) -> None:
 
 
 def _ended(library: Library, stock: Stock, interrupted: bool) -> int:
-    """Print how the batch ended. Return the exit code; only the captures asked for count in it."""
+    """Print how the batch ended. Return the exit code, which depends only on the captures of this command."""
     counts, home = library.counts(), library.results.address
     failed = [each for each in library.shown().values() if each.state == "failed"]
     for each in sorted(failed, key=lambda each: each.name)[:TOLD]:

@@ -40,7 +40,7 @@ def bench(
     data: Annotated[Path | None, arg(
         help="Data folder: captures/, materials/. Default: environment variable MITSVBRDF_DATA.")] = None,
     json_file: Annotated[Path, arg(
-        name="json", help="File of the records, one JSON object a line. An existing file is continued.",
+        name="json", help="File of the measurements: one JSON object a line. New ones are appended.",
     )] = Path("out/bench.jsonl"),
     page: Annotated[Path | None, arg(
         help="Write the tables to this Markdown file, and their plot as an SVG file beside it.")] = None,
@@ -50,11 +50,11 @@ def bench(
 ) -> int:
     """Measure error against run time: methods x materials and captures x budgets x seeds.
 
-    Known materials are judged by their maps and by images under new light, real captures by photos that no
-    fit sees. The tables show the median over seeds.
+    The errors of known materials are those of maps and of images under new light. The error of real captures
+    is that of held-out photos. The tables show the median over seeds.
 
-    Each record is written as soon as its fit ends. Ctrl-C loses one fit at most, and the same command
-    continues. Nothing else should run on the machine meanwhile. docs/evaluation.md explains the errors.
+    Each measurement is written when its fit ends. Ctrl-C loses one fit at most, and the same command
+    continues. Run nothing else on the machine meanwhile. docs/evaluation.md explains the errors.
     """
     files.check_output(json_file, page)
     picture = page.with_suffix(".svg") if page else None

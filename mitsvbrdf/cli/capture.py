@@ -34,7 +34,7 @@ def capture(photos: Annotated[Positional[Path], arg(
             resolution: Annotated[int, arg(
                 help="Largest side of the rectified photos. Photos are never enlarged.")] = 1024,
             reference: Annotated[Literal["best", "first"], arg(help=(
-                "Without a sheet: the photo that defines up. best: that most nearly from above."))] = "best",
+                "Without a sheet: photo that defines up. best: the one most nearly from above."))] = "best",
             overwrite: Overwrite = False, strict: Strict = False) -> int:
     """Make a capture from raw photos for `mitsvbrdf fit`: find the poses, rectify, reject bad photos.
 
@@ -42,8 +42,8 @@ def capture(photos: Annotated[Positional[Path], arg(
     docs/capture.md. With a printed sheet of tags (`mitsvbrdf sheet`) and --sheet, lengths are exact and in
     cm. Without a sheet, poses come from image features that the photos share.
 
-    OUT holds capture.json and the rectified photos in target/. quality.html lists rejected photos with the
-    reason, and says where one more photo helps most. quality.json holds the numbers of that page.
+    OUT contains capture.json and the rectified photos in target/. quality.html lists rejected photos with
+    the reason, and the place where one more photo helps most. quality.json has the numbers of that page.
     """
     from ..capture import write_capture
     from ..capture.align.from_sheet import refuse_tags
@@ -68,7 +68,7 @@ def capture(photos: Annotated[Positional[Path], arg(
                                   reference, report)
         warned += later
         result = replace(result, warnings=tuple(dict.fromkeys((*warned, *result.warnings))))
-        last.enter_context(deferred_signals())  # until all is in place
+        last.enter_context(deferred_signals())  # no Ctrl-C until all files are in place
         write_capture(result.capture, folder, capture_keys(result))
         write_quality(result, folder)
     _print(result, warned)
@@ -77,7 +77,7 @@ def capture(photos: Annotated[Positional[Path], arg(
 
 
 def _print(result: "CaptureResult", warned: list[str]) -> None:
-    """Print each photo with its number in a fit or the reason for its rejection, then notes not said yet."""
+    """Print a table of the photos, new warnings, and the share of the patch that has a highlight."""
     from ..capture.quality.next_view import HIGHLIGHT_ANGLE
 
     table = Table(title=f"{len(result.used)} of {len(result.photos)} photos used", title_justify="left")

@@ -24,7 +24,7 @@ LARGEST_SIDE = 256  # pixels a side, without --resolution
 def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", help=(
                 "Folders of published maps, OUT folders of fits, or builtin:NAME. NAME= sets the caption. "
                 "Default caption: the name of the folder."))]],
-            capture: Annotated[Path, arg(metavar="CAPTURE", help="The photos.")], out: options.Out,
+            capture: Annotated[Path, arg(metavar="CAPTURE", help="Photos to compare.")], out: options.Out,
             reference: options.Reference = None, encoding: options.MapEncoding = (),
             normal: options.MapNormal = "auto", views: options.ViewList = None,
             resolution: Annotated[int | None, arg(
@@ -74,7 +74,7 @@ def compare(maps: Positional[Annotated[list[str], arg(metavar="[NAME=]MAPS", hel
 
 
 def _entry(text: str, resolution: int, encoding: options.MapEncoding, normal: options.MapNormal) -> Entry:
-    """Maps, name and fit of ``[NAME=]MAPS``. Without NAME, the folder gives the name."""
+    """Maps, name and fit of ``[NAME=]MAPS``. Default name: that of the folder."""
     maps = _folder(text)
     name = text[:len(text) - len(maps)].removesuffix("=") or options.name_of(maps)
     svbrdf = options.material_of(maps, resolution, encoding, normal)
@@ -82,5 +82,5 @@ def _entry(text: str, resolution: int, encoding: options.MapEncoding, normal: op
 
 
 def _folder(text: str) -> str:
-    """MAPS of ``[NAME=]MAPS``. The path of an existing folder is MAPS as a whole, also with a = in it."""
+    """MAPS of ``[NAME=]MAPS``. An existing path with a = in it is MAPS as a whole."""
     return text if os.path.exists(text) or "=" not in text else text.partition("=")[2]

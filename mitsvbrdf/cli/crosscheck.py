@@ -1,4 +1,4 @@
-"""``mitsvbrdf crosscheck``: every renderer against the float64 twin, as tables, JSON and a page."""
+"""``mitsvbrdf crosscheck``: compare every renderer with float64; write tables, JSON and a page."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -37,9 +37,9 @@ def crosscheck(
         help="Side of the maps. Larger maps are area-averaged. Default: 256; without MAPS 128.")] = None,
     variant: options.Variant = "llvm_ad_rgb", overwrite: options.Overwrite = False,
 ) -> int:
-    """Compare every renderer and BSDF with the float64 twin: images, gradients, run time.
+    """Compare every renderer and BSDF with the renderer analytic64 (float64): images, gradients, run time.
 
-    The exit code is 1 when a stated tolerance does not hold. docs/evaluation.md explains the figures.
+    The exit code is 1 if a stated tolerance is exceeded. docs/evaluation.md explains the figures.
     """
     if repeats < 1:
         raise ConfigError("--repeats of 1 or more", str(repeats), "try 5")
@@ -93,7 +93,7 @@ def _print(record: dict) -> None:
 
 
 def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
-    """The summary of one BSDF: a row for each figure, a column for each renderer."""
+    """The summary of one BSDF and one class of texels: a row for each figure, a column for each renderer."""
     count = rows[0]["materials"]
     bound = f"{'>=' if texels == 'rough' else '<'} {record['rough_from']}"
     of = f", worst of {count} materials" if count > 1 else ""
@@ -107,7 +107,7 @@ def _table(record: dict, texels: str, bsdf: str, rows: list[dict]) -> Table:
                  for v in values]
         table.add_row(label, *(form(each) if each else "" for each in (tolerance, limit)), *cells)
 
-    limit = rows[0]["limit"]  # it depends on materials and views alone
+    limit = rows[0]["limit"]  # the same in all rows
     for name in ("mean", "p99.9", "worst", "bias"):
         add(f"image, {name}", stated["image"].get(name), limit.get(name),
             [row["image"][name] for row in rows])

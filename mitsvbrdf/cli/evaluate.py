@@ -31,13 +31,13 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
              refine_views: options.RefineViews = False, json_file: options.JsonFile = None,
              variant: options.Variant = "llvm_ad_rgb", overwrite: options.Overwrite = False,
              strict: options.Strict = False) -> int:
-    """Measure maps: against known maps (--reference) or against photos (--capture).
+    """Measure the error of maps against known maps (--reference) or photos (--capture).
 
     Map RMSE follows common practice: diffuse and specular gamma-encoded, roughness as stored, and the normal
     as (n + 1) / 2. Re-rendering RMSE is in display values clipped to [0, 1], over all pixels. A photo that
     the fit saw is rendered with the final view of the fit, so its error is the one the fit printed. A
     held-out photo is rendered with its calibrated view and the flash offset of the fit. A further line gives
-    the error of all photos in such views. Burn-in is the share of a map's variance that follows the
+    the error of all photos in calibrated views. Burn-in is the share of a map's variance that follows the
     highlights of the fit's photos (without a fit.json: of the given photos).
 
     No fit knows the calibration errors of held-out photos. --refine-views also refines the camera, flash and
@@ -79,7 +79,7 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
         else:
             del found["refined"]  # not asked for
         seen_from = fit.known_views or shots.views
-        del photos, shots  # large ones, before what burn-in needs
+        del photos, shots  # frees memory for the burn-in
         found["burn_in"] = burn_in(svbrdf, seen_from)
         found["local_burn_in"] = local_burn_in(svbrdf, seen_from)
         print_numbers("Burn-in (0 is best)", found["burn_in"])

@@ -29,12 +29,12 @@ def export(
     normal: Annotated[NormalConvention, arg(
         help="Normals of the maps format: gl is +Y up, dx +Y down.")] = "gl",
     bits: Annotated[Bits, arg(
-        help="Bits of PNG files. glTF and colours in USD always have 8, heights 16.")] = 16,
+        help="Bits of PNG files. Always 8 in glTF and for colours in USD, always 16 for heights.")] = 16,
     tile: Annotated[bool, arg(help=(
         "Join opposite edges, so that the material can be repeated. The patch becomes smaller; its new side "
         "is printed."))] = False,
     side_cm: Annotated[float | None, arg(help=(
-        "Side of the patch before --tile. Default: from the sheet in the photos, else unknown."))] = None,
+        "Side of the patch in cm, before --tile. Default: from the sheet of the photos, if any."))] = None,
     licence: Annotated[str | None, arg(
         metavar="TEXT", help="Licence of the material, such as CC0-1.0.")] = None,
     preview: Annotated[bool, arg(help="Omit the picture of a sphere.", help_behavior_hint="")] = True,
@@ -84,7 +84,7 @@ def _tiled(svbrdf: SVBRDF, side: float | None) -> tuple[SVBRDF, float | None]:
 
 
 def _draw(folder: Path, svbrdf: SVBRDF) -> None:
-    """Write ``preview.png`` and ``thumbnail.png``; none if Mitsuba cannot run, since no format needs it."""
+    """Write ``preview.png`` and ``thumbnail.png``; no error if Mitsuba cannot run: they are optional."""
     try:
         picture = sphere(svbrdf, PREVIEW)
     except BackendError as error:

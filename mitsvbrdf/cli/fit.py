@@ -33,42 +33,42 @@ from .options import Out, Overwrite, Photos, Strict, check_new_files, keep_apart
 USUAL = FitOptions()
 Settings = UseAppendAction[OmitArgPrefixes[FitConfig]]  # one flat set of options; --fix may be repeated
 Advanced = Annotated[bool, arg(help="With --help: show all options, also those for research.")]
-# Settings of methods that help shows without --advanced.
+# Settings of methods that are in the help without --advanced.
 SHOWN = ("bsdf", "budget", "iterations", "seed", "fix", "grey_specular", "calibrate", "flash_offset", "exact",
          "noise", "preset", "pretrained")
-# Bytes for each texel, and for each texel of each photo: HELD is the peak of memory (real photos, measured at
-# 2048 and 4096 px), WRITTEN is disk space.
+# (bytes per texel, bytes per texel and photo). HELD: peak of memory (measured with real photos, 2048 and
+# 4096 px). WRITTEN: disk space.
 HELD, WRITTEN = (200, 12), (200, 20)
 PROCESS = 0.7  # GiB of a process that has loaded torch and Mitsuba
 
 
 def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArgPrefixes[FitOptions] = USUAL,
         method: Annotated[Literal["hierarchical", "hybrid", "gan", "direct"],
-                          arg(help="How to fit. `fit --method gan --help` shows the options of that method.")]
+                          arg(help="Method. `fit --method gan --help` shows the options of gan.")]
         = "hierarchical",
         explain: Annotated[bool, arg(
-            help="Do not fit: print what a fit omits, what it may omit, and its networks.")] = False,
+            help="Do not fit. Print what the fit would omit, what it may omit, and its networks.")] = False,
         pretrain: Annotated[bool, arg(help=(
             "Run only the first stage of --preset paper-two-stage: train the generator on the first photo. "
-            "OUT is the checkpoint for --pretrained."))] = False,
+            "OUT is then a checkpoint, a file for --pretrained."))] = False,
         resume: Annotated[bool, arg(
             help="Continue the fit in OUT, finished or not. --iterations and --budget may differ. A fit that "
-                 "lacked time starts anew if either is doubled.")] = False,
+                 "lacked time starts anew if either has at least doubled.")] = False,
         overwrite: Overwrite = False, strict: Strict = False, advanced: Advanced = False) -> int:
     """Recover the maps of a material from photos.
 
     `mitsvbrdf fit photos/ -o out` is enough. The default method ends by itself. Up to 1024 px it begins no
-    step that would end after 120 s (--budget). It shows two numbers. rmse is the re-rendering error so far.
+    step that would end after 120 s (--budget). It shows two numbers: rmse is the re-rendering error so far;
     cost is the quantity that the fit minimises, a mean over all texels: squared errors relative to the noise,
     plus distances from expected values. cost has no unit and can rise in a new round.
 
     To test a fit honestly, hold photos out with --views 0,1,2,3,5,6,8, and predict them with `mitsvbrdf
-    evaluate out --capture photos/ --views 4,7`. The paper's method is --method gan --preset paper-one-stage,
-    shorter with --iterations 500. --fix normal=flat --fix specular=0.04 --fix diffuse=map.exr fix known maps.
+    evaluate out --capture photos/ --views 4,7`. The paper's method is --method gan --preset paper-one-stage
+    (shorter: --iterations 500). For known maps: --fix normal=flat --fix specular=0.04 --fix diffuse=map.exr.
 
-    Ctrl-C ends the fit and keeps its best result. OUT holds the page report.html to look at, maps/,
+    Ctrl-C ends the fit and keeps its best result. OUT contains report.html (open it first), maps/,
     uncertainty/, guess/, photos/, rerendered/, sheet.png, scene.xml (for plain Mitsuba), fit.json,
-    report.json and the checkpoint for --resume. With --detail gan it also holds detail/ and detail.html.
+    report.json and the checkpoint for --resume. With --detail gan it also contains detail/ and detail.html.
     """
     if pretrain:
         if explain or resume or shared.detail != "none":
@@ -99,7 +99,7 @@ def fit(capture: Positional[Photos], out: Out, config: Settings, shared: OmitArg
 
 
 def check_room(side: int, photos: int, out: Path) -> None:
-    """Raise ConfigError, naming a size that fits, where memory or disk do not suffice for so many texels."""
+    """Raise ConfigError if memory or disk space does not suffice. The error names a size that fits."""
     place = Path(os.path.realpath(out))
     there = next(folder for folder in (place, *place.parents) if folder.is_dir())
     rooms = (("memory", memory_gib()[1] - PROCESS, HELD, PROCESS),
@@ -114,7 +114,7 @@ def check_room(side: int, photos: int, out: Path) -> None:
 
 
 def _pretrain(picture: Path, out: Path, config: FitConfig, options: FitOptions, overwrite: bool) -> int:
-    """The first stage of the paper's two-stage training, into a checkpoint."""
+    """Run the first stage of the paper's two-stage training, and write its checkpoint to ``out``."""
     from ..fit import pretrain
 
     if not isinstance(config, GanConfig):
@@ -148,7 +148,7 @@ def _explain(task: FitTask, options: FitOptions) -> int:
 
 def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, options: FitOptions,
               resume: bool, overwrite: bool) -> tuple[Fit, dict | None]:
-    """Fit, add detail and write the result. Return it, and the note of the checkpoint it resumed."""
+    """Fit, add detail, write the result. Return it, and the note (JSON) of a checkpoint that was resumed."""
     from ..report.folder import write_fit_files
     from ..report.live import LivePage
 
@@ -168,7 +168,7 @@ def _fit_into(out: Path, photos: Capture, engine: Renderer, config: FitConfig, o
         if detail := options.detail_config(config):
             with progress_bar("plausible detail") as finish_report:
                 result = with_detail(result, shots, engine, detail, finish_report)
-        last.enter_context(deferred_signals())  # until all is in place
+        last.enter_context(deferred_signals())  # no Ctrl-C until all files are in place
         write_fit_files(result, shots, folder, command=options.record(shots), held_out=shown)
         page.end()
     return result, before
@@ -220,16 +220,16 @@ def _say_result(result: Fit, shots: Capture, before: dict | None) -> None:
 
 
 def _deviation(median: float) -> str:
-    """A median of DETERMINED is only a lower bound: the photos of such texels contradict their maps."""
+    """As text. DETERMINED is a lower bound: the deviation of texels whose photos contradict their maps."""
     return f"±{median:.3f}" if abs(median - DETERMINED) > 1e-6 else f"at least ±{median:.3f}"
 
 
 def settings(arguments: Sequence[str], usual: FitConfig | None = None) -> FitConfig:
-    """The settings of the method and the preset that the arguments name. Their fields are the options.
+    """The settings of the method and the preset named in the arguments. Each field is an option.
 
     Args:
-        arguments: of the command line. With --help and without --advanced, only usual options are shown.
-        usual: settings that the arguments change. If None or of another method: the method's defaults.
+        arguments: of the command line. --help without --advanced hides the options that are not in SHOWN.
+        usual: returned if it is of this method and no preset is named. Else: the defaults.
     """
     asked = _asked(arguments)
     kind = METHODS[asked.method or (method_name(usual) if usual else next(iter(METHODS)))]
@@ -241,7 +241,7 @@ def settings(arguments: Sequence[str], usual: FitConfig | None = None) -> FitCon
 
 
 def _usual_only(config: FitConfig) -> FitConfig:
-    """The same settings; help shows the usual ones alone."""
+    """The same settings, but the help shows only those in SHOWN."""
     kind, hide = type(config), cast(Any, Suppress)
     hints = get_type_hints(kind, include_extras=True)
     hidden = [(each.name, hide[hints[each.name]], field(default=each.default)) for each in fields(kind)
@@ -252,9 +252,9 @@ def _usual_only(config: FitConfig) -> FitConfig:
 
 
 def with_flags(arguments: Sequence[str]) -> list[str]:
-    """Write flags like --exact and --no-exact as options with True or False. Without one, the fit decides.
+    """Rewrite --exact as --exact True, and --no-exact as --exact False. Without both, the fit decides.
 
-    A flag that the method does not have stays as it was typed: the error of the parser then names it.
+    A flag that the method does not have stays as typed, so that the error of the parser names it.
     """
     found: list[str] = []
     hints = get_type_hints(type(settings(arguments)))
@@ -267,7 +267,7 @@ def with_flags(arguments: Sequence[str]) -> list[str]:
 
 
 def _asked(arguments: Sequence[str]) -> argparse.Namespace:
-    """Read what decides which options exist: method, preset, help. The main parser reports wrong values."""
+    """Read the arguments that decide which options exist. The main parser reports wrong values."""
     parser = argparse.ArgumentParser(add_help=False, allow_abbrev=False, exit_on_error=False)
     parser.add_argument("--method")
     parser.add_argument("--preset")

@@ -13,8 +13,8 @@ def guess(capture: Positional[Photos], out: Out, method: GuessMethod = "robust",
           strict: Strict = False) -> int:
     """Guess the diffuse map, without a fit: OUT/diffuse.exr and diffuse.png.
 
-    Methods: min is the minimum of each pixel over the photos, as in the paper. mean-blur is their mean,
-    blurred. robust first removes falloff and highlights.
+    Methods: min is the minimum of each pixel over the photos, as in the paper. mean-blur is the blurred mean
+    of the photos. robust removes falloff and highlights, then takes the median over the photos.
     """
     keep_apart(capture, out)
     shots = read_photos(capture, resolution, views, transfer, "inverse-square")

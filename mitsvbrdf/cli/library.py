@@ -1,4 +1,4 @@
-"""``mitsvbrdf library``: what a batch made, to list and to check."""
+"""``mitsvbrdf library``: list or check the results of a batch."""
 
 import json
 from collections.abc import Sequence
@@ -15,12 +15,12 @@ NUMBERS = ["error", "held_out_error", "burn_in", "seconds"]
 
 
 def library(
-    folder: Annotated[Positional[str], arg(metavar="LIBRARY", help="What a batch made: a folder or a URL.")],
+    folder: Annotated[Positional[str], arg(metavar="LIBRARY", help="Library of a batch: a folder or a URL.")],
     search: Annotated[str, arg(metavar="TEXT", help=(
         "Only materials with this text in name, tags, source, method, host, options or reason."))] = "",
     state: Annotated[Literal["all", "done", "failed", "replaced"], arg(
-        help="Only materials in this state. replaced: those that a newer one has replaced.")] = "all",
-    verify: Annotated[bool, arg(help="Hash all files again, and say which have changed.")] = False,
+        help="Only materials in this state. replaced: results that newer results have replaced.")] = "all",
+    verify: Annotated[bool, arg(help="Hash all files again, and print which results changed.")] = False,
     as_json: Annotated[bool, arg(name="json", help="Print rows as JSON, one a line.")] = False,
 ) -> int:
     """Look through a library of materials: list or check what `mitsvbrdf batch` made.
@@ -65,12 +65,12 @@ def _print(chosen: Sequence[dict]) -> None:
 
 
 def _called(row: dict) -> str:
-    """The name of a material with the beginning of its identity."""
+    """The folder without its parents: the name of the material and the start of its hash."""
     return row["folder"].rpartition("/")[2]
 
 
 def _verify(materials: Library, folders: Sequence[str], unread: Sequence[str]) -> int:
-    """Hash files again; the exit code says whether all are as they were. ``unread`` lost their records."""
+    """Hash files again, print changes. Return 1 if any. ``unread``: folders without a readable record."""
     wrong = dict.fromkeys(unread, f"{RECORD} is missing or damaged, or a batch has yet to write it")
     with progress_bar("hashing") as report:
         for number, folder in enumerate(folders):

@@ -1,6 +1,6 @@
-"""What the commands share: option types, and what a name on the command line stands for.
+"""Shared by the commands: types of options, checks of outputs, reading of photos, maps and views.
 
-Every command imports this module, so it imports what needs torch only where it is used.
+Every command imports this module. Modules that need torch are therefore imported inside functions.
 """
 
 from __future__ import annotations
@@ -27,56 +27,56 @@ if TYPE_CHECKING:
     from ..views import Falloff, Views
 
 Out = Annotated[Path, arg(aliases=["-o"], help="Folder (or file) to write.")]
-Overwrite = Annotated[bool, arg(help="Replace earlier results. Remove export/ and relight/ made from them.")]
+Overwrite = Annotated[bool, arg(help="Replace earlier results, and remove their export/ and relight/.")]
 JsonFile = Annotated[Path | None, arg(name="json", help="Write all figures to this file.")]
 Reference = Annotated[str | None, arg(help="Known maps: a folder, a .glb file or builtin:NAME.")]
-# Commands with Strict run inside errors.strict: see cli.command.
-# MapEncoding and MapNormal: how the files of --reference are read; without it, the files of MAPS.
+# cli.command runs the commands that have Strict inside errors.strict.
+# MapEncoding and MapNormal apply to the files of --reference, or without --reference to those of MAPS.
 MapEncoding = UseAppendAction[Annotated[tuple[str, ...], arg(metavar="NAME=CODE", help=(
-    "Encoding of known 8- or 16-bit maps, in place of the stated one: linear, srgb or gamma2.2, for one map "
-    "(NAME=) or all; normal=dx or normal=gl. May be repeated."))]]
+    "Encoding of known maps of 8 or 16 bits: linear, srgb or gamma2.2 for all maps (with "
+    "NAME=: for one map), normal=dx or normal=gl. Overrides the stated encoding. May be repeated."))]]
 MapNormal = Annotated[Literal["auto", "gl", "dx"], arg(help=(
-    "Normals of known maps. dx: DirectX, +Y down. auto: as stated, else found from the slopes."))]
+    "Normals of known maps. gl: +Y up. dx: +Y down (DirectX). auto: as stated, else found from the slopes."))]
 Strict = Annotated[bool, arg(help="Refuse damaged photos and maps. Default: mend them with a warning.")]
 Variant = Annotated[Literal["llvm_ad_rgb", "cuda_ad_rgb"], arg(help="Mitsuba variant.")]
 ViewList = Annotated[str | None, arg(metavar="0,1,2,...", help="Numbers of photos to use. Default: all.")]
 Material = Annotated[str, arg(metavar="MAPS", help=(
     "The OUT of a fit (OUT/detail for its plausible detail), a folder of maps, a .glb file, or builtin:NAME "
     "(inlay, tiles, leather, plates)."))]
-ViewSource = Annotated[str, arg(help="A capture with the views, or builtin:grid (nine, 2 patch sides away).")]
+ViewSource = Annotated[str, arg(help="Capture with the views, or builtin:grid: nine, 2 patch sides away.")]
 Photos = Annotated[Path, arg(metavar="CAPTURE", help=(
     "A folder of photos, calibrated or plain; see docs/formats.md."))]
 TransferChoice = Literal["auto", Transfer]
 TransferOption = Annotated[TransferChoice, arg(help=(
-    "How photos encode light. auto: as the capture states, else gamma2.2 for calibrated captures and srgb "
-    "for plain photos."))]
+    "How photos encode light. auto: as stated in the capture, else gamma2.2 for calibrated captures and "
+    "srgb for plain photos."))]
 FittedTransfer = Annotated[TransferChoice, arg(help=(
-    "Encoding of light in photos. auto: as in a fit to these photos, else as the capture states."))]
-RefineViews = Annotated[bool, arg(help="Measure again with camera, flash and exposure of photos refined.")]
+    "Encoding of light in photos. auto: as in the fit to these photos, else as stated in the capture."))]
+RefineViews = Annotated[bool, arg(help="Also measure with refined camera, flash and exposure of each photo.")]
 FalloffOption = Literal["auto", "inverse-square", "none"]
 
 
 def folder_of_its_own(out: Path, what: str) -> ConfigError:
-    """The error of a command whose results would lie among the photos or maps that it reads."""
+    """The error for an output folder that contains the photos or maps to be read."""
     got = f"{out}, which holds the {what}"
     return ConfigError("an output folder of its own", got, "choose another folder")
 
 
 def keep_apart(capture: Path, out: Path) -> None:
-    """Raise ConfigError for results among photos: they would be read as photos or replace them."""
+    """Raise ConfigError if the photos are in ``out`` or its photos/: results could replace them."""
     if _photo_folders(capture) & {os.path.realpath(path) for path in (out, out / "photos")}:
         raise folder_of_its_own(out, "photos")
 
 
 def keep_apart_from_maps(maps: str, out: Path) -> None:
-    """Raise ConfigError for results among the maps: they would replace the fit or be read as maps."""
+    """Raise ConfigError if ``out`` is the folder of the maps, its maps/, or the folder above it."""
     folders = {os.path.realpath(os.path.join(maps, part)) for part in ("", "maps", "..")}
     if not maps.startswith("builtin:") and os.path.realpath(out) in folders:
         raise folder_of_its_own(out, "maps")
 
 
 def folder_inside(maps: str, name: str) -> Path:
-    """The default folder for results, inside maps. Raises if maps is no folder, or a link is in the way."""
+    """The default output: folder ``name`` in ``maps``. Raises if ``maps`` is no folder or ``name`` a link."""
     if maps.startswith("builtin:") or Path(maps).is_file():
         raise ConfigError(f"an output folder beside {maps}, which is no folder", "none", "add -o FOLDER")
     found = files.inside(Path(maps), name)
@@ -87,7 +87,7 @@ def folder_inside(maps: str, name: str) -> Path:
 
 
 def name_of(maps: str) -> str:
-    """Name of a material: NAME of ``builtin:NAME``, else that of its folder, with -detail for detail maps."""
+    """Name of a material: NAME of ``builtin:NAME``, else its folder's name (detail maps: with -detail)."""
     if maps.startswith("builtin:"):
         return maps.removeprefix("builtin:")
     folder = Path(os.path.abspath(maps))
@@ -100,14 +100,14 @@ def name_of(maps: str) -> str:
 
 def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str | Path | None] = (),
                     photos: str | Path | None = None) -> None:
-    """Refuse output files that exist or cannot be written, before any work is done.
+    """Before any work: refuse output files that exist or cannot be written. None is passed over.
 
-    With ``overwrite`` an existing file is replaced, but never a file that is ``read``, nor a part of a result
-    folder. Nothing is written among the photos of a capture. An output of None was not asked for.
+    ``overwrite`` allows an existing file. Always refused: a file in ``read``, a file of a result folder, and
+    a file beside the photos of the capture ``photos``.
 
     Raises:
         OutputError: a file exists already, or cannot be written.
-        ConfigError: two outputs are the same file, or an output is part of what is read, or of a result.
+        ConfigError: two outputs are one file, or an output is always refused.
     """
     files.check_output(*outputs)
     sources, earlier = {os.path.realpath(path) for path in (*read, photos) if path}, list[Path]()
@@ -127,7 +127,7 @@ def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str |
 
 
 def _photo_folders(capture: Path) -> set[str]:
-    """The folders of the photos of a capture: the folder of the capture or its JSON file, and its target/."""
+    """Folders that may have the photos: that of the capture (or of its JSON file), and target/ in it."""
     capture = capture.parent if capture.is_file() else capture
     return {os.path.realpath(path) for path in (capture, capture / "target")}
 
@@ -142,14 +142,14 @@ def chosen(option: str, text: str, choices: Collection[str]) -> list[str]:
 
 
 def check_side(resolution: int | None) -> None:
-    """Raise ConfigError for a --resolution below 8; None stands for a default."""
+    """Raise ConfigError for a --resolution below 8. None is allowed."""
     if resolution is not None and resolution < 8:
         raise ConfigError("--resolution of 8 or more", str(resolution), "try 256")
 
 
 def read_photos(capture: Path, resolution: int, views: str | None, transfer: TransferChoice,
                 falloff: Falloff) -> Capture:
-    """Read the photos as asked for, and print the notes about them."""
+    """Read a capture with these options, and print its notes."""
     from ..capture import read_capture
     from ..views import photo_numbers
 
@@ -170,7 +170,7 @@ def read_photos(capture: Path, resolution: int, views: str | None, transfer: Tra
 
 def material_of(name: str, resolution: int = 256, encoding: MapEncoding = (),
                 normal: MapNormal = "auto") -> SVBRDF:
-    """Maps from a folder, or ``builtin:NAME`` made at this resolution."""
+    """Maps: from a folder or file; ``builtin:NAME`` is made at this resolution."""
     from ..material.made import make_material
     from ..material.map_files import load_maps
 
@@ -183,7 +183,7 @@ def material_of(name: str, resolution: int = 256, encoding: MapEncoding = (),
 
 def errors_against(reference: str, resolution: int, encoding: MapEncoding,
                    normal: MapNormal) -> Callable[[SVBRDF], dict[str, float]]:
-    """A function for the RMSE of maps against known maps: a folder, or ``builtin:NAME`` at this size."""
+    """A function: maps to their RMSE against ``reference``; ``builtin:NAME`` is made at this resolution."""
     from ..evaluate import evaluate_maps
     from ..measure.metrics import map_rmse
 
@@ -195,7 +195,7 @@ def errors_against(reference: str, resolution: int, encoding: MapEncoding,
 
 
 def views_of(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[list[str], Views]:
-    """Names and views of a capture (:func:`~mitsvbrdf.evaluate.placement.placed`), or of ``builtin:grid``."""
+    """Names and views: of a capture, placed as in the fit, or of ``builtin:grid``. Prints notes."""
     from ..evaluate.placement import named_views
 
     names, views, notes = named_views(source, falloff, fit)
@@ -205,7 +205,7 @@ def views_of(source: str, falloff: Falloff, fit: Fit | None = None) -> tuple[lis
 
 
 def fit_of_maps(maps: str | None) -> Fit:
-    """The fit that maps come from. If there is none, as for ``builtin:NAME``: a fit without a record."""
+    """The fit that made the maps. If there is none, as for ``builtin:NAME``: a fit without a record."""
     from ..fit.result import Fit
 
     return Fit() if maps is None or maps.startswith("builtin:") else Fit.of_maps(maps)

@@ -42,16 +42,16 @@ def relight(
     out: Annotated[Path | None, arg(
         aliases=["-o"], help="Folder to write. Default: relight inside MAPS.")] = None,
     seed: int = 0, variant: options.Variant = "llvm_ad_rgb",
-    explain: Annotated[bool, arg(help="Print what is omitted, and why, without rendering.")] = False,
+    explain: Annotated[bool, arg(help="Do not render. Print what is omitted, and why.")] = False,
     resume: Annotated[bool, arg(
         help="Render the missing frames of an earlier run with the same options.")] = False,
     overwrite: options.Overwrite = False, strict: options.Strict = False,
 ) -> int:
     """Show a material under other light, path traced with Mitsuba.
 
-    Stills become EXR and PNG files, movies MP4 and GIF. relight.json holds the estimated error of each frame.
+    Stills are EXR and PNG files, movies MP4 or GIF. relight.json holds the estimated error of each frame.
 
-    Ctrl-C keeps finished frames, and the current one with fewer samples. --resume continues the same command.
+    Ctrl-C keeps finished frames, and the current one (fewer samples). --resume continues the same command.
     """
     from ..fit.checkpoint import digest
     from ..fit.config import check_seed

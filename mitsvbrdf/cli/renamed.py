@@ -1,10 +1,10 @@
-"""Old names of commands and options: help hides them; they work for one version and print the new name."""
+"""Old names of commands and options. Help omits them. They work for one version; the new name is printed."""
 
 import sys
 from collections.abc import Sequence
 
-# An option renamed in several commands has a line in each. A flag that help shows as --no-NAME has a line for
-# that form.
+# An option renamed in several commands has an entry in each. For a flag that help shows as --no-NAME, the
+# entry has that form.
 RENAMED_COMMANDS = {"pretrain": "fit --method gan --preset paper-two-stage --pretrain"}
 FIT = {"--own": "--detail-spread", "--tails": "--highlight-reach", "--likeness": "--similarity",
        "--no-independent": "--no-remove-burn-in", "--no-rivals": "--no-multi-start", "--finish": "--detail",
@@ -13,9 +13,9 @@ RENAMED: dict[str, dict[str, str]] = {"fit": FIT, "batch": FIT, "bench": {"--lef
 
 
 def with_new_names(arguments: Sequence[str]) -> list[str]:
-    """Replace old names of commands and options in the arguments; print each once on standard error.
+    """Replace old names of commands and options in the arguments. Print each once, on standard error.
 
-    Only whole words change: the value of ``--name=--detail-spread`` stays, and so does all after ``--``.
+    Unchanged: a value after ``=``, as in ``--tag=--own``, and all words after ``--``.
     """
     place = next((i for i, word in enumerate(arguments) if not word.startswith("-")), None)
     if place is None:

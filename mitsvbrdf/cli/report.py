@@ -1,4 +1,4 @@
-"""``mitsvbrdf report``: the page of a fit, made again from its folder."""
+"""``mitsvbrdf report``: make the page of a fit again, from the folder of the fit."""
 
 from pathlib import Path
 from typing import Annotated
@@ -20,8 +20,8 @@ def report(out: Positional[Annotated[Path, arg(metavar="OUT", help="The folder o
            strict: Strict = False) -> int:
     """Write OUT/report.html, a page about the fit that opens from disk, and OUT/report.json, its numbers.
 
-    `fit` writes them too, with fewer checks. This command compares every renderer with the float64 twin, on
-    the fitted maps in the views of the fit.
+    `fit` writes them too, with fewer checks. This command compares every renderer with float64, for the
+    fitted maps and the views of the fit.
     """
     from ..capture import read_capture
     from ..fit.result import Fit

@@ -1,4 +1,4 @@
-"""``mitsvbrdf sheet``: tags to print and lay around a material."""
+"""``mitsvbrdf sheet``: a printable sheet of tags around a material."""
 
 from pathlib import Path
 from typing import Annotated
@@ -18,8 +18,8 @@ def sheet(out: Annotated[Path,
           overwrite: Overwrite = False) -> int:
     """Write a sheet of AprilTags to print.
 
-    Print it at 100 %, cut the middle out, and lay it around the material. Measure the arrow. It is as long as
-    the frame of tags: its length is the CM of `mitsvbrdf capture --sheet CM`.
+    Print it at 100 %, cut the middle out, and lay the sheet around the material. Measure the printed arrow in
+    cm. It is as long as the frame of tags. Give its length to `mitsvbrdf capture --sheet CM`.
     """
     from ..capture.align.sheet import write_sheet
 

@@ -1,4 +1,4 @@
-"""``mitsvbrdf stability``: the renderers at the ends of every range, as tables and JSON."""
+"""``mitsvbrdf stability``: test the renderers at the ends of every range; write tables and JSON."""
 
 from typing import Annotated, Literal
 
@@ -26,7 +26,7 @@ def stability(
 ) -> int:
     """Sweep every parameter to the ends of its range, and give a verdict on each renderer.
 
-    Each case compares image and gradients with float64. The JSON file also holds condition numbers. All
+    Each case compares image and gradients with float64. The JSON file also has condition numbers. All
     sweeps take about two minutes. The exit code is 1 when a value is not finite or a verdict is worse than
     expected. docs/results/stability.md explains the verdicts and every clamp.
     """
@@ -50,7 +50,7 @@ def stability(
 
 
 def _table(title: str, rows: list[dict], renderers: list[str]) -> Table:
-    """Verdict and largest error of each renderer, and the effect of one rounding; 80 columns."""
+    """A row a case: verdict and largest error of each renderer, and the effect of one rounding."""
     table = figures_table(title, [*renderers, "rounding"])
     for row in rows:
         cells = [(found["verdict"], _largest(found.get("errors", {}))) for found in row["renderers"].values()]

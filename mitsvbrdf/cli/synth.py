@@ -1,4 +1,4 @@
-"""``mitsvbrdf synth``: photos of known maps, rectified, or raw ones of a simulated phone."""
+"""``mitsvbrdf synth``: photos of known maps: rectified ones, or raw ones of a simulated phone."""
 
 import functools
 from dataclasses import fields

@@ -32,24 +32,24 @@ def fit_svbrdf(capture: Capture, renderer: Renderer, config: FitConfig | None = 
     """Recover a material from photos.
 
     Args:
-        capture: photos and views. Missing views are first estimated from the photos, unless the method holds
-            views (:mod:`mitsvbrdf.calibrate.estimate`). One or two photos get the default geometry.
-        renderer: draws the comparison; carries the gradients of all methods but ``hierarchical``.
-        config: which method and its settings. Default: ``HierarchicalConfig()``.
-        checkpoint: file (.safetensors) to keep the running state in.
+        capture: photos and views. Missing views are first estimated from the photos, unless ``config`` holds
+            them fixed (:mod:`mitsvbrdf.calibrate.estimate`). One or two photos get the default geometry.
+        renderer: renders the images compared with photos; all methods but ``hierarchical`` use its gradients.
+        config: the settings of a method, which choose it. Default: ``HierarchicalConfig()``.
+        checkpoint: file (.safetensors) for the running state.
         resume: checkpoint to continue from; bit-equal to an uninterrupted run of the same options on a CPU.
             A fit that lacked time begins anew if ``budget`` or ``iterations`` has at least doubled.
         report: called with (trace entry, share done) after each measurement.
-        live: called with the state of the fit about once a second, such as
-            :class:`mitsvbrdf.report.live.LivePage`. The fit gives identical results without it.
+        live: called with the state of the fit about once a second. :class:`mitsvbrdf.report.live.LivePage` is
+            an example. The fit gives identical results without it.
 
     Returns:
         The result with the lowest re-rendering error so far (``hierarchical``, ``gan`` from solved maps: the
         last result). Ctrl-C ends the fit early and returns the result so far.
 
     Raises:
-        CaptureError: photos whose every pixel is masked.
-        ConfigError: options out of range, a checkpoint of another fit, or no finite start.
+        CaptureError: all pixels of all photos are masked.
+        ConfigError: options out of range, a checkpoint of another fit, or a start that is not finite.
         BackendError: Mitsuba, the variant or libLLVM is missing.
         KeyboardInterrupt: Ctrl-C in a resumed fit that began anew; the earlier result stays.
     """
@@ -76,11 +76,12 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
 
     Args:
         capture: its first photo is used.
-        config: of one of the paper's presets; ``iterations`` defaults to the paper's 10,000.
-        checkpoint: file (.safetensors) that gets the weights; ``report`` as in :func:`fit_svbrdf`.
+        config: settings with one of the paper's presets; ``iterations`` defaults to the paper's 10,000.
+        checkpoint: file (.safetensors) for the weights.
+        report: as in :func:`fit_svbrdf`.
 
     Raises:
-        ConfigError: settings out of range, another preset, or a checkpoint to start from.
+        ConfigError: settings out of range, a preset that is not the paper's, or ``pretrained`` is given.
     """
     config.check()
     if not config.of_paper or config.pretrained:
@@ -94,7 +95,7 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
 
 
 def make_method(task: FitTask[Any]) -> Method:
-    """The method that a task's settings belong to, ready to step; ConfigError: they belong to none."""
+    """The method of a task, ready to step. ConfigError: the task's settings belong to no method."""
     match method_name(task.config):
         case "hierarchical":
             return solver_of(task)

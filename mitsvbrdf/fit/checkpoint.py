@@ -1,6 +1,6 @@
 """Checkpoints: a fit's running state as named tensors in a safetensors file, which runs no code when loaded.
 
-A checksum of tensors and note tells a damaged file from a whole one: the format has none of its own.
+A checksum of tensors and note reveals a damaged file; the format itself has no checksum.
 """
 
 import hashlib
@@ -30,11 +30,11 @@ Part = Held | Mapping[str, Tensor]  # of a running state
 
 
 def save_tensors(path: Path, tensors: dict[str, Tensor], note: dict) -> None:
-    """A safetensors file: plain tensors, and a note as JSON text. Loading it runs no code.
+    """Write a safetensors file: plain tensors, and a note as JSON text. Loading it runs no code.
 
-    It is written tensor by tensor: the format's own library would hold a copy of all of them.
+    It is written tensor by tensor: the format's own library would copy all tensors in memory.
     """
-    names = sorted(tensors, key=lambda name: (-tensors[name].element_size(), name))  # each is aligned
+    names = sorted(tensors, key=lambda name: (-tensors[name].element_size(), name))  # aligns each tensor
     text, end = json.dumps(note), 0
     about: dict[str, dict] = {"__metadata__": {"mitsvbrdf": text, "sha256": _checksum(tensors, text)}}
     for name in names:
@@ -48,7 +48,7 @@ def save_tensors(path: Path, tensors: dict[str, Tensor], note: dict) -> None:
             file.write(struct.pack("<Q", len(header)) + header)
             for name in names:
                 file.write(_bytes(tensors[name]))
-        to_disk(temporary)  # before it replaces a checkpoint that can be resumed from
+        to_disk(temporary)  # before it replaces the last good checkpoint
 
 
 def _bytes(value: Tensor) -> memoryview:
@@ -56,7 +56,7 @@ def _bytes(value: Tensor) -> memoryview:
 
 
 def load_tensors(path: Path | str) -> tuple[dict[str, Tensor], dict]:
-    """What :func:`save_tensors` wrote; ConfigError: no checkpoint of this package, or a damaged one."""
+    """Tensors and note of a :func:`save_tensors` file. ConfigError: no or a damaged checkpoint of ours."""
     try:
         if not Path(path).is_file():  # to open a pipe would block
             raise ValueError("no such file")
@@ -86,12 +86,12 @@ def _checksum(tensors: dict[str, Tensor], text: str) -> str:
 
 
 def part(tensors: dict[str, Tensor], prefix: str) -> dict[str, Tensor]:
-    """The tensors whose name begins with a prefix, named without it."""
+    """The tensors whose names begin with a prefix; the prefix is removed from their names."""
     return {key.removeprefix(prefix): value for key, value in tensors.items() if key.startswith(prefix)}
 
 
 def state_of(parts: Mapping[str, Part]) -> dict[str, Tensor]:
-    """Copies of tensors, weights, running averages and random states; each name begins with the part's."""
+    """Copies of all tensors, weights, running averages and random states; names begin with the part's."""
     state = {}
     for name, each in parts.items():
         if isinstance(each, Tensor):
@@ -139,9 +139,9 @@ def _load_optimizer(name: str, optimizer: torch.optim.Optimizer, state: dict[str
 
 def fingerprints(config: FitConfig, capture: Capture, renderer: Renderer,
                  fixed: Mapping[str, Tensor]) -> dict[str, str]:
-    """Fingerprints, by name, of everything that determines a fit, except its limits.
+    """The name and a fingerprint of each thing that determines a fit, except its limits.
 
-    Fixed maps count by their values: a file of the same name may hold other values later.
+    The fingerprint of a fixed map comes from its values: its file may change later.
     """
     views = capture.views
     parts = {f"--{name.replace('_', '-')}": repr(value) for name, value in asdict(config).items()
@@ -168,7 +168,7 @@ def digest(*tensors: Tensor) -> str:
 
 
 def differing(before: object, now: Mapping[str, str]) -> list[str]:
-    """Names of the fingerprints that have changed, at most :data:`MOST_NAMED`."""
+    """Names of the fingerprints that differ; after :data:`MOST_NAMED` of them, the number of the rest."""
     if not isinstance(before, dict):
         return ["an earlier version kept no list of them"]
     names = [name for name in dict.fromkeys([*now, *before]) if before.get(name) != now.get(name)]

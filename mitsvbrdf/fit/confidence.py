@@ -1,17 +1,17 @@
-"""How far the true values of each texel may lie from the answer: by its own photos, and with look-alikes.
+"""How far true values may be from the answer (the fitted values): by own photos, and with look-alikes.
 
-The photos leave a distribution open for each number (:mod:`.posterior`). Its deviation d is measured from the
-answer of the fit, wherever that lies: at least 68 % of the distribution lie within d of the answer, at least
-98 % within 3 d. For a normal distribution around the answer, d is the standard deviation. An answer at the
-edge of the distribution has a large d. Errors that all photos share, such as in light power, do not count.
+The photos determine each number of a texel up to a distribution (:mod:`.posterior`). Its deviation d is
+measured from the answer: at least 68 % of the distribution are within d of the answer, at least 98 % within
+3 d. For a normal distribution around the answer, d is the standard deviation. An answer at the edge of the
+distribution has a large d. Errors that all photos share, such as in light power, are not included.
 
-A texel whose photos refuse its answer does not count as determined, whatever its look-alikes say.
+A texel does not count as determined if its photos contradict its answer, even if its look-alikes confirm it.
 
-The valley of equally good numbers is followed for every k-th texel. The deviation of each texel is that by
-the curvature at its own photos, times the ratio of the valley's deviation to the curvature's nearby.
+Large maps have a distribution for every k-th texel only. There, the deviation of each texel comes from the
+curvature of its own errors, times a ratio: deviation by distribution / by curvature, of the nearby k-th ones.
 
-Numbers are those in which errors are counted (docs/conventions.md). Each has a range of 1. A number that no
-photo tells has the deviation of a uniform distribution, 1 / sqrt(12).
+The numbers are the ones in which errors are counted (docs/conventions.md). Each has a range of 1. A number
+that no photo determines has the deviation of a uniform distribution, 1 / sqrt(12).
 """
 
 import math
@@ -41,11 +41,11 @@ Deviations = dict[str, Tensor]
 
 def deviations(svbrdf: SVBRDF, views: Views, task: FitTask,
                basis: Tensor | None = None) -> tuple[Deviations, Deviations]:
-    """Deviations of the fitted maps by own photos, and with look-alikes: by name r x r x C, r <= 1024.
+    """Two dicts, map name to deviations r x r x C (r <= 1024): by own photos, and with look-alikes.
 
-    Every k-th texel has deviations, k = R / 1024 rounded up; C is 2 for a normal (x and y). ``basis`` is the
-    appearance of the basis materials whose texels share numbers, K x 5; if none share any, the deviations
-    with look-alikes are empty. BackendError: Mitsuba, the variant or libLLVM is missing.
+    Every k-th texel has deviations, k = R / 1024 rounded up; C is 2 for a normal (x and y). ``basis``:
+    appearance of the basis materials whose texels share numbers, K x 5. Without it or shared numbers, the
+    second dict is empty. BackendError: Mitsuba, the variant or libLLVM is missing.
     """
     side, capture, fixed = svbrdf.resolution, task.capture, dict(task.fixed)
     every = _every(side, GRID)
@@ -76,13 +76,13 @@ def deviations(svbrdf: SVBRDF, views: Views, task: FitTask,
 
 
 def _every(side: int, most: int) -> slice:
-    """Every k-th of ``side`` texels, ``most`` of them or fewer."""
+    """A slice of every k-th of ``side`` texels, at most ``most`` of them."""
     step = step_of(side, most)
     return slice(step // 2, None, step)
 
 
 def _spread(found: Deviations, here: Deviations, there: Deviations) -> Deviations:
-    """Deviations at the texels of ``there``: those by curvature, times the ratio of ``found`` to ``here``."""
+    """Deviations ``there`` (by curvature) times the resized ratio of ``found`` to ``here`` (by curvature)."""
     more = {name: (value / here[name]).square() for name, value in found.items()}
     return {name: (resized(more[name], len(there[name])).sqrt() * there[name]).clamp_max(UNKNOWN)
             for name in found}
@@ -90,9 +90,9 @@ def _spread(found: Deviations, here: Deviations, there: Deviations) -> Deviation
 
 def _by_curvature(svbrdf: SVBRDF, capture: Capture, own: OwnPhotos, solver: TexelSolver,
                   every: slice) -> tuple[Deviations, Tensor, Tensor]:
-    """For every k-th texel: deviations by curvature alone, whether photos refuse the answer, values used.
+    """For every k-th texel: deviations by curvature, if photos contradict the answer, number of values used.
 
-    Each pixel has the noise of equally bright pixels of ``own``.
+    The noise of a pixel is that of equally bright pixels of ``own``.
     """
     side, measured = capture.resolution, capture.measured
     x = solver.numbers(svbrdf.map(lambda value: value[every, every]))
@@ -112,7 +112,7 @@ def _by_curvature(svbrdf: SVBRDF, capture: Capture, own: OwnPhotos, solver: Texe
 
 
 def _stated(own: OwnPhotos, mixture: Mixture) -> Deviations:
-    """The deviations of each map, by the mixture of what its numbers may be."""
+    """The deviations of each map, from the distributions of its numbers (``mixture``)."""
     answer, side = own.answer.flatten(1).T, own.answer.shape[-1]
     spread = half_width(mixture, answer, own.names, ONE).maximum(
         half_width(mixture, answer, own.names, THREE) / 3)
@@ -120,7 +120,7 @@ def _stated(own: OwnPhotos, mixture: Mixture) -> Deviations:
 
 
 def _by_map(own: OwnPhotos, spread: Tensor, answer: Tensor) -> Deviations:
-    """The deviations of each map; ``spread`` are those of its numbers, at the answer, both r x r x U."""
+    """The deviations of each map, from those of U numbers (``spread``) at ``answer``, both r x r x U."""
     found = {}
     for name, of in own.solver.unknowns.slices.items():
         value = spread[..., of]
@@ -144,7 +144,7 @@ def seen_by(views: Views, side: int, step: int) -> Views:
 
 
 def shown_texels(capture: Capture) -> Tensor:
-    """The texels with a deviation that some photo shows, r x r: not those masked in every photo."""
+    """A mask of the texels with a deviation, r x r: True if some photo shows the texel unmasked."""
     every = _every(capture.resolution, FULL)
     shown = torch.ones(1, capture.resolution, capture.resolution, dtype=torch.bool)
     return (shown if capture.measured is None else capture.measured)[:, every, every].any(dim=0)
@@ -152,9 +152,9 @@ def shown_texels(capture: Capture) -> Tensor:
 
 def confidence(alone: Mapping[str, Tensor], alike: Mapping[str, Tensor],
                shown: Tensor) -> dict[str, dict[str, float]]:
-    """By map: ``median_sd``, ``determined_share`` (of texels with sd below 0.1), median ``with_look_alikes``.
+    """For each map: ``median_sd``, ``determined_share`` (of sd below 0.1), median ``with_look_alikes``.
 
-    All are of the texels in the mask ``shown``, r x r. The last one is missing if nothing is shared.
+    Only texels in the mask ``shown``, r x r, count. The last one is missing if nothing is shared.
     """
     found = {}
     for name, value in alone.items():

@@ -1,4 +1,4 @@
-"""Settings of the fits: frozen dataclasses, the only home of each default.
+"""Settings of the fits: frozen dataclasses. Each default is stated once, in its dataclass.
 
 The docstring of a field is its ``--help``: one line, since shells complete options line by line.
 """
@@ -23,14 +23,13 @@ POSITIVE = ("budget", "iterations", "width", "learning_rate", "normal_roughness_
             "similarity", "spread", "relief", "noise", "pictures", "discriminator_rate")
 MOST = {"width": 4096, "materials": 65536, "pictures": 1024}  # largest values of settings that take memory
 
-# A setting that is on or off. Help names the option that changes it; where the default is on, that option
-# begins with --no-.
+# A setting that is on or off. --help shows the option that changes it: --no-NAME if the default is on.
 Switch = Annotated[bool, arg(
     help_behavior_hint=lambda on: "This turns it off. (default: on)" if on == "True" else "(default: off)")]
 
 
 def check_seed(seed: int) -> None:
-    """Raise ConfigError for a seed that torch would not take."""
+    """Raise ConfigError for a seed outside 0 to 2^32 - 1."""
     if not 0 <= seed < 2**32:
         raise ConfigError("a seed from 0 to 4294967295", str(seed), "choose a smaller one")
 
@@ -45,12 +44,12 @@ def check_numbers(config: Any, positive: Sequence[str]) -> None:
         if not (value > 0 or value == 0 and name not in positive) or value > most:
             raise ConfigError(f"{name} {least} and <= {most:g}", str(value), "give such a number")
 
-LARGE = 1024  # texels a side up to which the default seconds suffice
+LARGE = 1024  # texels a side; larger maps get more seconds by default
 
 
 @dataclass(frozen=True)
 class FitConfig:
-    """What all methods share."""
+    """The settings that all methods share."""
 
     default_budget: ClassVar[float] = 120.0  # seconds
 
@@ -59,7 +58,7 @@ class FitConfig:
     guess: GuessMethod = "robust"
     """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
     budget: float | None = None
-    """Stop after so many seconds. Default: 120 (direct 60, gan 300 or its preset's), more above 1024 px."""
+    """Time limit in seconds. Default: 120 (direct 60, gan 300, paper's presets none), more above 1024 px."""
     iterations: int | None = None
     """Stop after this many iterations (with --budget: whichever comes first)."""
     seed: int = 0
@@ -67,15 +66,15 @@ class FitConfig:
     fix: tuple[str, ...] = ()
     """Hold a map fixed: NAME=VALUE (a number, r,g,b, an image file, or normal=flat). May be repeated."""
     grey_specular: Switch = False
-    """One grey specular level a texel instead of three channels."""
+    """Fit one grey specular value per texel instead of three channels."""
 
     @property
     def files(self) -> list[str]:
-        """The files that the settings name."""
+        """The files named in the settings."""
         return named_files(self.fix)
 
     def check(self) -> None:
-        """Raise ConfigError for wrong types, numbers out of range, and words that are no choice."""
+        """Raise ConfigError for wrong types, numbers out of range, unknown choices, and conflicts."""
         check_fields(self)
         for name, kind in get_type_hints(type(self)).items():
             if get_origin(kind) is Literal and getattr(self, name) not in get_args(kind):
@@ -88,7 +87,7 @@ class FitConfig:
         check_numbers(self, POSITIVE)
 
     def limited(self, resolution: int) -> FitConfig:
-        """These settings, with the method's default limit where none was given; large maps get longer."""
+        """These settings. If no limit is given, with the method's default, which is longer for large maps."""
         if self.budget is not None or self.iterations is not None:
             return self
         limit = self.default_limit
@@ -114,17 +113,17 @@ class FitConfig:
 
     @property
     def holds_views(self) -> bool:
-        """Whether the user asks to keep the views as the capture has them, stated or not."""
+        """Whether the views stay those of the capture, stated or default (--no-calibrate)."""
         return getattr(self, "calibrate", None) is False
 
     @property
     def refines_views(self) -> bool | None:
-        """Whether each view is refined; None: stated views only if the photos do not follow the model."""
+        """Whether each view is refined; None: yes, except stated views of photos that follow the model."""
         return getattr(self, "calibrate", False)
 
     @property
     def wants_flash_offset(self) -> bool | None:
-        """Whether the flash offset is to be fitted; None where the method has no such unknown."""
+        """Whether the flash offset is to be fitted; None: the method has no such unknown."""
         return getattr(self, "flash_offset", None)
 
 
@@ -135,36 +134,36 @@ class HierarchicalConfig(FitConfig):
     materials: int = 64
     """Number of basis materials. Texels share specular and roughness within a basis material."""
     similarity: float = 0.02
-    """How alike texels must look to share: a standard deviation of their appearance."""
+    """Texels belong to basis materials of similar appearance: Gaussian weights of this standard deviation."""
     spread: float = 0.03
-    """Largest standard deviation of a texel from its look-alikes at 64 px. Real photos only."""
+    """Largest prior standard deviation of a texel from its basis materials at 64 px. Real photos only."""
     relief: float = 0.02
-    """Standard deviation of the slopes of normals at 64 px. Real photos only."""
+    """Prior standard deviation of the normals' slopes at 64 px. Real photos only."""
     detail_spread: float = 0.06
-    """Standard deviation of full-size texels from their 64 px values. 0 frees only diffuse. Real photos."""
+    """Scale of prior deviations of full-size texels from 64 px values. 0: only diffuse moves. Real photos."""
     highlight_reach: float = 2.0
-    """Lobe widths from a highlight at which pixels begin to count less. 0: all count alike. Real photos."""
+    """Lobe widths from a highlight at which a pixel has half weight. 0: equal weights. Real photos only."""
     remove_burn_in: Switch = True
-    """Removal of patterns that follow the highlights from specular and roughness. Real photos only."""
+    """In specular and roughness, remove patterns that follow the highlights. Real photos only."""
     noise: float | None = None
     """Noise of real photos in display values. A higher value keeps less detail. Default: cross-validation."""
     neighbours: Switch = True
-    """Other starts: values of neighbouring texels, tilted normals and, of exact photos, other lobes."""
+    """Also start from values of neighbouring texels, tilted normals and, for exact photos, other lobes."""
     exact: bool | None = None
-    """Photos follow the model (--exact) or not (--no-exact). Default: the errors of a first fit decide."""
+    """--exact: photos follow the model. --no-exact: real photos. Default: errors of a first fit decide."""
     multi_start: Switch = True
-    """Many roughnesses as starts for exact photos, and lobes that texels share."""
+    """For exact photos, start from many roughnesses, and find lobes that texels share."""
     stationary: bool | None = None
-    """One photo shows a material that repeats itself (or --no-stationary). Default: a test decides."""
+    """The only photo shows a material that repeats itself (or --no-stationary). Default: a test decides."""
     calibrate: bool | None = None
-    """Refine camera and flash of each photo (--calibrate or --no-calibrate). Default: photos decide."""
+    """Refine each camera and flash (or --no-calibrate). Default: yes, except stated views of exact photos."""
     flash_offset: Switch = True
-    """One sideways distance between lens and flash, fitted for all photos."""
+    """Fit one sideways distance between lens and flash for all photos."""
 
 
 @dataclass(frozen=True)
 class HybridConfig(FitConfig):
-    """A generator that sees all photos, trained through the renderer against all of them."""
+    """A generator that sees all photos. It is trained through the renderer to reproduce them."""
 
     width: int = 16
     """Channels of the generator's finest level."""
@@ -181,12 +180,12 @@ class HybridConfig(FitConfig):
     flat: float = 0.02
     """Weight of the tilt of the normals."""
     flash_offset: Switch = True
-    """One sideways distance between lens and flash, fitted for all photos."""
+    """Fit one sideways distance between lens and flash for all photos."""
 
 
 @dataclass(frozen=True)
 class DirectConfig(FitConfig):
-    """The baseline: every texel on its own, from a robust start."""
+    """The baseline: each texel is optimised on its own, from a robust start."""
 
     default_budget: ClassVar[float] = 60.0
 

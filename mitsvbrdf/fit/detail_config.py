@@ -20,17 +20,17 @@ class DetailConfig:
     discriminator_width: int = 32  # channels of the discriminator's first layer
     learning_rate: float = 5e-3  # Adam's step size of the generator at the start; it falls along a cosine
     discriminator_rate: float = 1e-3  # the same of the discriminator
-    certain: float = 0.01  # texels of a map with at most this standard deviation stay the same
+    certain: float = 0.01  # texels with this standard deviation or less stay the same
     reach: float = 4.0  # largest change of other texels, in multiples of standard deviation minus ``certain``
     lights: int = 4  # novel lights in one step, each compared with a photo
-    tries: int = 4  # places tried for a novel light; the place that looks most like the photo's is taken
+    tries: int = 4  # places tried for a novel light; the one that looks most like the photo's place is used
     crop: float = 0.5  # side of the compared pictures, in patch sides
-    seen: int = 3  # photos in one step whose re-rendering error is a loss
-    adversarial: float = 0.4  # weight of the discriminator's verdict
+    seen: int = 3  # photos re-rendered in one step; their error is a loss
+    adversarial: float = 0.4  # weight of the adversarial loss
     patches: float = 80.0  # weight of the sliced Wasserstein distance of patches
-    photometric: float = 10.0  # weight of the re-rendering error of photos seen
+    photometric: float = 10.0  # weight of the error of the re-rendered photos
     diffuse: float = 1.0  # weight of the distance of the diffuse map to the solved one
-    worst: float = 1.4  # largest re-rendering RMSE over that of the maps; a change beyond it is weakened
+    worst: float = 1.4  # largest re-rendering RMSE / that of the maps; a change that exceeds it is weakened
 
     def check(self) -> None:
         """Raise ConfigError for wrong types and numbers out of range."""

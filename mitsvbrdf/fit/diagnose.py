@@ -32,7 +32,7 @@ from .warnings import MIXED, SAMPLED, UNSETTLED, fit_warnings
 
 
 def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -> Fit:
-    """The fit that a loop ended with; ``notes`` are those of the photos before views were estimated."""
+    """The fit from a loop that has ended. ``notes``: those of the capture before views were estimated."""
     method = loop.method
     task = replace(task, capture=method.capture, own_guess=task.guess)
     capture, renderer, config = task.capture, task.renderer, task.config
@@ -89,13 +89,13 @@ def diagnosed(task: FitTask, loop: Loop, stopped: str, notes: tuple[str, ...]) -
 
 def _looked_at(svbrdf: SVBRDF, views: Views, task: FitTask, basis: Tensor | None
                ) -> tuple[Rerendered, Deviations, Deviations]:
-    """Re-rendered photos with their errors; deviations alone and with look-alikes."""
+    """Re-rendered photos with their errors; deviations by own photos; deviations with look-alikes."""
     seen = rerendered(task.renderer, svbrdf, views, task.capture, SAMPLED)
     try:
         both = deviations(svbrdf, views, task, basis)
-    except BackendError:  # the analytic renderer needs no Mitsuba, and deviations do
+    except BackendError:  # deviations need Mitsuba; the analytic renderer does not
         both = {}, {}
-    if task.light_doubted:  # colours are as sure as the light
+    if task.light_doubted:  # an unknown light leaves colours unknown
         for spreads in both:
             spreads |= {name: torch.full_like(spreads[name], UNKNOWN) for name in COLOURS if name in spreads}
     return seen, *both
@@ -103,7 +103,7 @@ def _looked_at(svbrdf: SVBRDF, views: Views, task: FitTask, basis: Tensor | None
 
 def _stated_views(capture: Capture, views: Views, offset: tuple[float, float],
                   told: float | None) -> Views | None:
-    """The stated views with the changes common to all; None if no single view moved or none is stated."""
+    """The stated views with the changes common to all; None if no view moved otherwise, or none is stated."""
     given = capture.views
     stated = replace(shift_lights(given, offset), intensity=given.intensity * (told or 1.0))
     pairs = ((stated.camera, views.camera), (stated.light, views.light), (stated.intensity, views.intensity))
@@ -117,10 +117,10 @@ def views_record(capture: Capture, views: Views, estimated: EstimatedViews | Non
 
     Args:
         capture: the photos, with the views that the fit began with.
-        estimated: how these were estimated from the photos; None where they were stated.
-        refined: standard deviations N x 7 of the changes since (:data:`mitsvbrdf.calibrate.refine.CHANGE`).
-        flash: standard deviations (x, y) of the flash offset that all photos share, where it was fitted.
-        light_power_factor: by which the maps changed the light power; None where they did not.
+        estimated: the estimate of these views from the photos; None if they were stated.
+        refined: standard deviations N x 7 of the fit's changes (:data:`mitsvbrdf.calibrate.refine.CHANGE`).
+        flash: standard deviations (x, y) of the flash offset that all photos share; None if not fitted.
+        light_power_factor: factor on the light power, found from the maps; None if there is none.
     """
     sides, begun = views.in_patch_sides(), capture.views.in_patch_sides()
     told = [ESTIMATED.unpack(estimated.deviation)] if estimated else []
@@ -143,7 +143,7 @@ def _together(deviations: list[Tensor]) -> list:
 
 
 def about_views(calibration: Mapping) -> str:
-    """Where the views of :func:`views_record` come from and how sure they are, in words; empty if unknown."""
+    """Origin and uncertainty of the views of :func:`views_record`, in words; empty if unknown."""
     if not calibration:
         return ""
     said = FROM["estimated" if calibration["estimated"] else calibration["from"]]

@@ -35,7 +35,7 @@ class Direct(Method[DirectConfig]):
         return logged | {"gradient": descend(total, self.optimizer)}
 
     def estimate(self) -> tuple[SVBRDF, Views]:
-        """The present maps, and the views, which stay."""
+        """The present maps, and the views, which never change."""
         with torch.no_grad():
             return to_svbrdf(self.config.bsdf, self.raw, self.fixed).map(Tensor.contiguous), self.views
 

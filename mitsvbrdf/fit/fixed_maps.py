@@ -14,12 +14,12 @@ from ..material.maps import CHANNELS, SVBRDF, Bsdf, flat
 
 
 def stated_maps(fix: Sequence[str], bsdf: Bsdf, grey_specular: bool = False) -> dict[str, str]:
-    """The values of ``--fix``, map name -> value, checked; the files that it names are not read.
+    """The values of ``--fix``, map name -> value, checked; files are not read.
 
-    Each is ``NAME=VALUE``; a value is ``flat`` (normal), a number, three numbers ``r,g,b``, or an image file.
+    Each item is ``NAME=VALUE``. A value is ``flat`` (normal), a number, numbers ``r,g,b``, or an image file.
 
     Raises:
-        ConfigError: an unknown map, a number out of range, a map twice, or nothing left to fit.
+        ConfigError: unknown map, number out of range, map twice, or nothing (or no grey specular) to fit.
     """
     stated: dict[str, str] = {}
     for item in fix:
@@ -47,8 +47,7 @@ def fixed_maps(fix: Sequence[str], bsdf: Bsdf, resolution: int) -> dict[str, Ten
     Files are read like those of a folder of maps, and resized to R (area averages down, bilinear up).
 
     Raises:
-        ConfigError: see :func:`stated_maps`; a file that is not there; roughness to fit without a specular
-            lobe.
+        ConfigError: see :func:`stated_maps`; a missing file; roughness to fit, but specular fixed at 0.
         MapsError: a file that is no such map.
     """
     fixed = {name: _tensor(name, value, bsdf, resolution) for name, value in stated_maps(fix, bsdf).items()}
@@ -59,7 +58,7 @@ def fixed_maps(fix: Sequence[str], bsdf: Bsdf, resolution: int) -> dict[str, Ten
 
 
 def unknown_but(fixed: Mapping[str, Tensor], bsdf: Bsdf, resolution: int, grey_specular: bool) -> SVBRDF:
-    """A material of which only the fixed maps are known; the other maps require a gradient."""
+    """A material with the fixed maps; all other maps are 1 and require a gradient."""
     def unknown(name: str, channels: int) -> Tensor:
         own = 1 if grey_specular and name == "specular" else channels
         return torch.ones(own, requires_grad=True).expand(resolution, resolution, channels)
@@ -69,7 +68,7 @@ def unknown_but(fixed: Mapping[str, Tensor], bsdf: Bsdf, resolution: int, grey_s
 
 
 def named_files(fix: Sequence[str]) -> list[str]:
-    """The image files that ``--fix`` names."""
+    """The image files named in ``--fix``."""
     values = [item.partition("=")[2] for item in fix]
     return [value for value in values if value != "flat" and _numbers(value) is None]
 
@@ -116,10 +115,10 @@ def _tensor(name: str, value: str, bsdf: Bsdf, resolution: int) -> Tensor:
     channels, numbers = CHANNELS[bsdf][name], [0.0, 0.0, 1.0] if value == "flat" else _numbers(value)
     if numbers is not None:
         return torch.tensor(numbers).expand(resolution, resolution, channels)
-    if not os.path.isfile(value):  # unlike Path.is_file, False for a name the system refuses
+    if not os.path.isfile(value):  # False for an invalid name; Path.is_file raises
         raise ConfigError(f"a number or an image file for {name}", f"{value!r}, which is neither",
                           "check the path")
     image = read_file(Path(value), name, channels)
-    # Checked and resized as a part of a material, so that both are done as for any other map.
+    # Checked and resized inside a material, like any other map.
     others: Mapping[str, Tensor] = flat(image.shape[0], bsdf).maps
     return SVBRDF(bsdf, dict(others) | {name: image}).check().resized(resolution)[name].contiguous()

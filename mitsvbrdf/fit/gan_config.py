@@ -1,4 +1,4 @@
-"""Settings of ``gan``: the paper's presets, ours, and a switch for each ingredient between them."""
+"""Settings of ``gan``: the paper's presets, ours, and a setting for each difference between them."""
 
 from dataclasses import dataclass
 from typing import Any, ClassVar, Literal, NamedTuple, get_args
@@ -16,7 +16,7 @@ Preset = Literal["minutes", "paper-one-stage", "paper-two-stage"]
 GeneratorKind = Literal["all-photos", "two-stream"]
 Start = Literal["solved", "guess", "untrained"]
 
-# The paper's method (III.C to III.F); it prints no weight of the diffuse loss.
+# The paper's method (III.C to III.F); the paper states no weight of the diffuse loss.
 _PAPER: dict[str, Any] = {
     "guess": "min", "grey_specular": True, "generator": "two-stream", "start": "untrained", "width": 64,
     "learning_rate": 2e-5, "normal_roughness_steps": 5, "pictures": 1, "discriminator_rate": 2e-5,
@@ -29,24 +29,24 @@ _MINUTES: dict[str, Any] = {
     "diffuse": 5.0, "smooth": 1.0, "flash_offset": True}
 PRESETS: dict[str, dict[str, Any]] = {
     "minutes": _MINUTES, "paper-one-stage": _PAPER, "paper-two-stage": _PAPER}
-# Settings that a game from solved maps uses; the other settings belong to the game from the guess.
+# Settings of the game (adversarial training) from solved maps; the others belong to that from the guess.
 OF_SOLVED = "guess", "grey_specular", "start", "flash_offset"
-# The paper's iterations: on one picture, then on the target photos; or on these alone.
+# The paper's iterations: two stages (on one picture, then on the target photos), or one (target photos).
 FIRST_STAGE, SECOND_STAGE, ONE_STAGE = 10_000, 15_000, 20_000
-FEWEST = 4  # photos that a game from solved maps needs to hold patches out
+FEWEST = 4  # least number of photos for a game from solved maps, which holds patches out
 
-# Side of the coarsest phase, texels: below it a discriminator has so few patches that it only memorises the
-# photos (128 px, four known materials, equal time: mean map RMSE .069 from 64 px on, .076 from 32 px on; the
-# start has .085).
+# Side of the coarsest phase in texels. With fewer, the discriminator has few patches and only memorises the
+# photos. At 128 px, four known materials, equal time: mean map RMSE .069 with a coarsest phase of 64 px, .076
+# with 32 px; the start has .085.
 SMALLEST = 64
-AS_PRESET: Any = None  # not given: GanConfig fills in what its preset has
+AS_PRESET: Any = None  # not given: GanConfig takes the value of its preset
 
 
 class Phase(NamedTuple):
-    """A part of the training: a discriminator and optimisers of its own; the generator's weights stay."""
+    """A part of the training, with a new discriminator and optimisers; the generator keeps its weights."""
 
-    share: float  # of the whole run
-    photos: int | None = None  # how many of the first photos are used; None uses all
+    share: float  # of the whole run, 0 to 1
+    photos: int | None = None  # only this many photos are used, the first ones; None: all
     halvings: int = 0  # how often the resolution is halved
 
 
@@ -54,23 +54,23 @@ class Phase(NamedTuple):
 class GanConfig(FitConfig):
     """A generator against a discriminator: adversarial and diffuse loss (III.D, III.F).
 
-    A setting that is not given is that of the preset.
+    A setting that is not given has the preset's value.
     """
 
     default_budget: ClassVar[float] = 300.0
 
     preset: Preset = "minutes"
-    """minutes: ours. paper-one-stage: 20,000 iterations. paper-two-stage: 10,000 on one picture, 15,000."""
+    """minutes: ours. paper-one-stage: 20,000 iterations. paper-two-stage: 10,000 (one picture) + 15,000."""
     pretrained: str | None = None
     """Checkpoint of `--pretrain` from which the paper's second stage starts."""
     guess: GuessMethod = AS_PRESET
     """How the guessed diffuse map is made: robust (ours), min (the paper's), mean-blur (Zhao 2020)."""
     grey_specular: Switch = AS_PRESET
-    """One grey specular level a texel (the paper's) instead of three channels."""
+    """Fit one grey specular value per texel (the paper's) instead of three channels."""
     generator: GeneratorKind = AS_PRESET
-    """all-photos: ours. two-stream: the paper's, sees one photo."""
+    """Input of the generator. all-photos (ours): all photos. two-stream (the paper's): one photo."""
     start: Start | None = AS_PRESET
-    """solved: the default method's maps; guess: default if e.g. --width is changed; untrained: paper's."""
+    """Start at solved maps (default method), at the guess (if e.g. --width is given) or untrained (paper)."""
     width: int = AS_PRESET
     """Channels of the first convolution of both networks."""
     learning_rate: float = AS_PRESET
@@ -78,7 +78,7 @@ class GanConfig(FitConfig):
     normal_roughness_steps: int = AS_PRESET
     """Gradient steps of the normal/roughness decoder per step of the diffuse/specular decoder (III.F)."""
     pictures: int = AS_PRESET
-    """Photos or blends compared in one step."""
+    """Number of photos, or blends of two photos, compared in one step."""
     crop: int = 0
     """Side of random training crops in texels (stationary mode of Zhao 2020). 0: whole photos."""
     discriminator_rate: float = AS_PRESET
@@ -86,22 +86,22 @@ class GanConfig(FitConfig):
     game: Game = AS_PRESET
     """Adversarial loss: bce (the paper's), hinge, or relativistic (photo against rendering of its view)."""
     paired: Switch = AS_PRESET
-    """The discriminator sees the photo beside the picture that it classifies."""
+    """Give the discriminator the photo as a second input, beside the picture that it classifies."""
     grow: Switch = AS_PRESET
-    """Training at a quarter and half the resolution first."""
+    """Train at a quarter and at half of the resolution first."""
     adversarial: float = AS_PRESET
     """Weight of the adversarial loss."""
     features: float = AS_PRESET
-    """Weight of feature matching: distance of the discriminator's activations for rendering and photo."""
+    """Weight of feature matching: distance between activations of the discriminator for rendering, photo."""
     diffuse: float = AS_PRESET
-    """Weight of the diffuse loss beside the adversarial loss (the paper prints none)."""
+    """Weight of the diffuse loss: distance of the diffuse map to the guess (the paper states no weight)."""
     smooth: float = AS_PRESET
     """Weight of the total variation of the specular and roughness maps."""
     flash_offset: Switch = AS_PRESET
-    """One sideways distance between lens and flash, fitted for all photos. The paper's presets have none."""
+    """Fit one sideways distance between lens and flash for all photos. The paper's presets have none."""
 
     def __post_init__(self) -> None:
-        """Fill in what the preset has. ConfigError: no such preset."""
+        """Fill in the preset's values. ConfigError: unknown preset."""
         check_fields(self, "fix", "preset")
         if self.preset not in get_args(Preset):
             raise ConfigError(f"a preset of {get_args(Preset)}", repr(self.preset), "choose one of these")
@@ -114,12 +114,12 @@ class GanConfig(FitConfig):
 
     @property
     def files(self) -> list[str]:
-        """The files that the settings name."""
+        """The files named in the settings."""
         return super().files + ([self.pretrained] if self.pretrained else [])
 
     @property
     def begins(self) -> Start:
-        """Where the generator begins; default: the guess if a setting of its game is given, else solved."""
+        """Start of the generator. Default: ``guess`` if a setting of its game is given, else ``solved``."""
         return self.start or ("guess" if self._of_guess else "solved")
 
     @property
@@ -164,33 +164,33 @@ class GanConfig(FitConfig):
 
     @property
     def of_paper(self) -> bool:
-        """Whether it is one of the paper's presets."""
+        """Whether the preset is one of the paper's."""
         return self.preset != "minutes"
 
     @property
     def weights(self) -> dict[str, float]:
-        """The weight of each loss; from solved maps those of :class:`DetailConfig`."""
+        """The weight of each loss; those of :class:`DetailConfig` if the game begins at solved maps."""
         own = DetailConfig() if self.begins == "solved" else self
         return {name: getattr(own, name) for name in losses.NAMES if hasattr(own, name)}
 
     @property
     def holds_views(self) -> bool:
-        """Whether the views stay as the capture has them: the paper states its views."""
+        """Whether the views stay those of the capture: yes in the paper's presets."""
         return self.of_paper
 
     @property
     def wants_flash_offset(self) -> bool | None:
-        """Whether the flash offset is to be fitted, as asked for; the paper has none."""
+        """Whether the flash offset is to be fitted; None in the paper's presets, which have no offset."""
         return None if self.of_paper else self.flash_offset
 
     @property
     def falloff(self) -> Falloff:
-        """The light falloff; ``none`` in the paper, where distance does not weaken the light."""
+        """The light falloff; ``none`` in the paper: its light does not weaken with distance."""
         return "none" if self.of_paper else "inverse-square"
 
     @property
     def default_limit(self) -> dict:
-        """Seconds for our preset; iterations for the paper's, less those that the checkpoint has had."""
+        """Seconds for our preset; iterations for the paper's, without the first stage if it is pretrained."""
         if not self.of_paper:
             return super().default_limit
         first = FIRST_STAGE if self._one_picture_first else 0

@@ -1,4 +1,4 @@
-"""What a running fit shows of itself, about once a second. Looking at a fit does not change it."""
+"""The state of a running fit, shown about once a second. Showing it does not change the fit."""
 
 import contextlib
 import time
@@ -17,16 +17,16 @@ SHARE = 0.05  # of the time that showing may take, at most
 class LiveState:
     """A running fit at one moment."""
 
-    svbrdf: SVBRDF  # the maps of the latest measurement, or what a method shows in between; at most 256 px
+    svbrdf: SVBRDF  # the maps of the latest measurement, or the method's preview; at most 256 px
     capture: str  # name of the folder of the photos; empty without one
-    method: str  # how it fits
+    method: str  # its name
     renderer: str  # its name
     resolution: int  # pixels a side of the photos
     iteration: int  # steps done
     seconds: float  # run time
-    share: float  # of the limits that is used, 0 to 1
+    share: float  # used share of the limits, 0 to 1
     stopped: str | None  # why the fit ended; None while it runs
-    latest_is_best: bool  # whether the fit will return the latest maps, not those of the lowest error
+    latest_is_best: bool  # whether the fit returns its latest maps; False: those with the lowest error
     trace: list[dict]  # one dict a measurement
     warnings: list[str]  # so far
 
@@ -35,7 +35,7 @@ class Live:
     """Shows the state of a fit, at most once every :data:`SECONDS`, for at most :data:`SHARE` of the time.
 
     Args:
-        show: what gets each state. If it raises OutputError, that state is not shown.
+        show: called with each state. If it raises OutputError, the state is not shown.
     """
 
     def __init__(self, show: Callable[[LiveState], None]) -> None:

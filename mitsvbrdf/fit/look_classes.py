@@ -4,8 +4,8 @@ A stationary material has the same distribution of texels at each place (Aittala
 al. 2020). The flash lights each place under another half angle, so all pixels together show the distribution
 under all half angles of the photo. The distribution is a mixture of a few classes. A class has one specular
 colour, diffuse colours and roughnesses around a mean, and normals around the flat one. The classes maximise
-the likelihood of the pixels, each pixel averaged over what it may be (marginal likelihood). A texel is then
-its mean over classes, normals, roughnesses and colours, given its pixel (empirical Bayes; Robbins 1956).
+the marginal likelihood of the pixels: an average over all values that a pixel may have. A texel is then its
+mean over classes, normals, roughnesses and colours, given its pixel (empirical Bayes; Robbins 1956).
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ from ..material.maps import SVBRDF
 from ..views import Views, texel_positions
 from .hierarchical.lobes import KINDS, METAL
 
-CLASSES = 5  # classes that the photo does not need look like others
-NOISE = 0.01  # of display values: 8 bits, and what so few classes do not explain
-TAIL = 0.15  # slopes have longer tails than normal numbers: relative growth for each squared deviation
+CLASSES = 5  # if a photo needs fewer, some classes look alike
+NOISE = 0.01  # of display values: 8 bits, and details that a few classes do not explain
+TAIL = 0.15  # relative growth of a slope per squared deviation: slopes have longer tails than normal numbers
 MODEL = 0.03  # error of the model of a lobe, as a share of the lobe
 PARTS = Layout(diffuse=(CLASSES, 3), lightness=(CLASSES,), tint=(CLASSES,), specular=(CLASSES, 3),
                roughness=(CLASSES,), worn=(CLASSES,), relief=(CLASSES,), share=(CLASSES,), place=(3,),
                power=())
 RANGES = {"lightness": (0.02, 1.0), "tint": (0.004, 0.2), "worn": (0.02, 0.6), "relief": (0.005, 1.0)}
 BEGUN = {"lightness": 0.15, "tint": 0.02, "worn": 0.1}
-# Priors, as deviations: roughness from the mean of all classes; channels of specular from their mean; log of
-# a relief (its mean, its deviation); place of the camera in sides and log of its height; log of the power.
+# Standard deviations of priors: roughness from the mean of all classes; channels of specular from their mean;
+# log of a relief (mean, deviation); place of the camera in patch sides and log of its height; log of power.
 ROUGHNESS, TINT, RELIEF, PLACE, POWER = 0.15, 0.05, (-2.0, 1.0), 0.15, 0.7
 SURE = 16.0  # weight of two log priors: place and power of the flash, and F0 (a dielectric's or any other)
 BRIGHT, DARK = 1e-4, 1e-5  # least linear colour of a class, and of a texel
 TINY = 1e-12  # least variance of a log; least radiance of white, in a channel without light
-RINGS, EVEN = 8, 0.02  # rings of equal half angle, whose texels are alike; deviation too small to be shown
+RINGS, EVEN = 8, 0.02  # rings of equal half angle; deviation of texels that is too small to be visible
 
 
 class Pixels(NamedTuple):
     """M pixels of a photo."""
 
-    at: Tensor  # their texels' places on the patch, M x 2
+    at: Tensor  # places (x, y) of their texels on the patch, M x 2
     shown: Tensor  # linear radiance, M x 3
     noise: Tensor  # its standard deviation, M x 3
-    clipped: Tensor  # channels that only bound the radiance from below, M x 3
+    clipped: Tensor  # True: the radiance of the channel may be higher, M x 3
 
     @staticmethod
     def of(capture: Capture) -> Pixels:
@@ -63,15 +63,15 @@ class Pixels(NamedTuple):
                       capture.linear[0].flatten(0, 1), (above - below) / 2, photo >= CLIPPED)
 
     def pick(self, index: Tensor) -> Pixels:
-        """Some of them."""
+        """The pixels with these indices."""
         return Pixels(*(part[index] for part in self))
 
 
 class Posterior(NamedTuple):
-    """Log likelihoods of K classes and J nodes for M pixels, and what the texels then are."""
+    """For M pixels, K classes and J nodes (sample points): log likelihood, and values of the texel."""
 
     likely: Tensor  # M x K x J
-    slopes: Tensor  # of the normals, M x K x J x 2
+    slopes: Tensor  # n_x / n_z and n_y / n_z of the normals, M x K x J x 2
     roughness: Tensor  # M x K x J
     diffuse: Tensor  # mean of the diffuse colour, linear, M x K x J x 3
 
@@ -79,9 +79,9 @@ class Posterior(NamedTuple):
 class LookClasses:
     """K look classes, made of the unbounded numbers of :data:`PARTS`; each value is in its range.
 
-    ``lightness`` is the relative deviation of diffuse colours along their mean, ``tint`` the deviation of
-    each channel in linear^(1/2.2), ``worn`` that of the log of roughness, ``relief`` that of a normal's
-    slope. ``place`` and ``power`` are changes of the view of the capture, 0 where they are held.
+    ``lightness`` is the relative deviation of diffuse colours along their mean. Further deviations: ``tint``
+    of each channel in linear^(1/2.2), ``worn`` of the log of roughness, ``relief`` of a normal's slopes.
+    ``place`` and ``power`` are changes of the capture's view; 0 if they are held fixed.
     """
 
     def __init__(self, numbers: Tensor, views: Views, held: bool, power_held: bool = False) -> None:
@@ -99,7 +99,7 @@ class LookClasses:
 
     @staticmethod
     def start(looks: Tensor, roughness: float, f0: float, relief: Sequence[float]) -> Tensor:
-        """Numbers of classes of these diffuse colours (linear^(1/2.2), K x 3), all with one lobe."""
+        """Numbers of K classes with these diffuse colours (linear^(1/2.2), K x 3) and one common lobe."""
         level, width = f0 ** (1 / 2.2), (roughness - 0.05) / 0.95
         return torch.from_numpy(PARTS.pack(
             diffuse=torch.logit(looks.clamp(0.02, 0.97)).numpy(), specular=math.log(level / (1 - level)),
@@ -117,15 +117,15 @@ class LookClasses:
         return half[:, :2] / half[:, 2:], (white / half[:, 2:] / math.pi).clamp_min(TINY)
 
     def posterior(self, pixels: Pixels, nodes: Tensor) -> Posterior:
-        """What M pixels may be, at nodes M x J x 3: standard normal numbers of slopes and log roughness.
+        """The posterior of M pixels at nodes M x J x 3: standard normal numbers of slopes and log roughness.
 
-        A narrow lobe explains a pixel by slopes on a thin ring around the half vector. Few nodes lie on that
-        ring, so a node stands for its surroundings, where the lobe is linear in these numbers.
+        A narrow lobe explains a pixel by slopes on a thin ring around the half vector. Few nodes are on that
+        ring, so a node represents its surroundings, in which the lobe is linear in these numbers.
         """
         q, white = self.lit(pixels.at)
         q, noise = q[:, None, None], (pixels.noise / white)[:, None, None]
         wide = nodes.shape[1] ** (-1 / 3)  # standard deviations
-        nodes = nodes * math.sqrt(1 - wide**2)  # together with their surroundings as wide as before
+        nodes = nodes * math.sqrt(1 - wide**2)  # with surroundings, variance 1 as before
         tail = 1 + TAIL * nodes[..., :2].square().sum(dim=-1)[:, None]
         slopes = (nodes[:, None, :, :2] * tail[..., None]) * self.relief[None, :, None, None]
         worn = (nodes[:, None, :, 2] * self.worn[:, None]).exp()
@@ -169,7 +169,7 @@ class LookClasses:
         colour = (encoded - level[:, None]).square().sum(dim=1) / 2
         usual = (math.log(share / spread / math.sqrt(2 * math.pi) * (TINT / tint) ** 2)
                  - ((level - mean) / spread) ** 2 / 2 - colour / tint**2)
-        between = ((METAL - level).clamp_min(0) / KINDS[1][1]) ** 2 / 2  # few materials lie there
+        between = ((METAL - level).clamp_min(0) / KINDS[1][1]) ** 2 / 2  # few materials have such an F0
         specular = SURE * torch.logaddexp(usual, math.log(1 - share) - colour / TINT**2 - between)
         apart = (self.roughness - (self.share.exp() * self.roughness).sum()) / ROUGHNESS
         rough = (self.relief.log() - RELIEF[0]) / RELIEF[1]
@@ -188,16 +188,16 @@ class LookClasses:
 
     @staticmethod
     def lost(found: Posterior) -> Tensor:
-        """Variance of slopes that the means of texels lack, averaged over both axes, M."""
+        """Posterior variance of each texel's slopes, which its mean lacks; averaged over both axes, M."""
         weight = torch.softmax(found.likely.flatten(1), dim=1).reshape(found.likely.shape)[..., None]
         mean = (weight * found.slopes).sum((1, 2))
         return ((weight * found.slopes**2).sum((1, 2)) - mean**2).mean(dim=1)
 
     def uneven(self, found: Posterior, at: Tensor) -> tuple[Tensor, Tensor]:
-        """How much texels differ between rings of equal half angle, and how much texels of a stationary
-        material do so by chance.
+        """How much texels differ between rings of equal half angle; how much they do so by chance if the
+        material is stationary.
 
-        Each is the variance of the means of rings over the variance of texels, summed over a texel's numbers.
+        Each is the variance of the rings' means / the variance of texels, summed over a texel's numbers.
         """
         texels = self.texels(found, self.specular)
         rings = texels[self.lit(at)[0].norm(dim=1).argsort()].tensor_split(RINGS)

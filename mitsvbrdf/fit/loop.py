@@ -1,4 +1,4 @@
-"""The loop all methods share: limits, trace, best result, checkpoints, taking bad steps back, Ctrl-C."""
+"""The loop of all methods: limits, trace, best result, checkpoints, undoing of bad steps, Ctrl-C."""
 
 import math
 import time
@@ -23,7 +23,7 @@ from .warnings import about_photos, about_steps
 
 CHECKPOINT_SECONDS = 30.0
 MAX_UNDONE = 20
-# what a checkpoint holds beside tensors, as types
+# types of a checkpoint's note, beside its tensors
 NOTE = {"iteration": int, "seconds": NUMBER, "undone": [{"iteration": int, "reason": str}],
         "best_rmse": NUMBER, "trace": [{str: NUMBER}], "lacked": [NUMBER]}
 
@@ -34,9 +34,9 @@ class Loop:
     """Runs a method within its limits.
 
     Args:
-        checkpoint: file to save the state to now and then, and at the end; None saves nothing.
+        checkpoint: file for the state, saved every 30 s and at the end; None: nothing is saved.
         report: called after each measurement with the trace entry and the share done (0 to 1).
-        live: shows the fit while it runs; None shows nothing.
+        live: shows the fit while it runs; None: nothing is shown.
     """
 
     def __init__(self, method: Method, checkpoint: Path | None = None,
@@ -45,15 +45,15 @@ class Loop:
         self.config = method.config.limited(self.capture.resolution)
         self.checkpoint, self.report, self.live = checkpoint, report, live
         self.iteration, self.seconds = 0, 0.0
-        self.undone: list[dict] = []  # iteration and reason of each step taken back
+        self.undone: list[dict] = []  # iteration and reason of each undone step
         self.trace: list[dict] = []
         self.seen: Seen  # at the latest measurement
         self.best: Seen | None = None
-        self.anew = False  # whether it began again instead of going on
+        self.anew = False  # whether a resumed fit starts from the beginning
         self.whole = False  # whether the latest measurement was of all texels
 
     def run(self) -> str:
-        """Advance until a limit or Ctrl-C; returns why it ended, as :attr:`Fit.stopped` says."""
+        """Advance until a limit or Ctrl-C; returns why it ended, a value of :attr:`Fit.stopped`."""
         with stop_signals() as stop:
             self.started, saved = time.perf_counter() - self.seconds, time.perf_counter()
             if self.iteration == 0:
@@ -94,7 +94,7 @@ class Loop:
     def _advance(self, good: dict[str, Tensor]) -> tuple[dict[str, Tensor], dict[str, float]]:
         """One step; if its result is not finite, the method goes back to the state ``good``.
 
-        Gives the state to go back to next time, and the losses.
+        Returns the state to go back to next time, and the losses.
         """
         try:
             losses = self.method.step(self.progress)
@@ -113,7 +113,7 @@ class Loop:
 
     def _checked(self, good: dict[str, Tensor], losses: dict[str, float], whole: bool = False
                  ) -> tuple[dict[str, Tensor], dict[str, float], Seen]:
-        """The present state, its losses and its error; if not finite, those of ``good``, without losses."""
+        """State, losses and measurement now; if not finite, those of the state ``good``, without losses."""
         if not isinstance(seen := self._look(whole), str):
             return self.method.state(), losses, seen
         good = self._undo(good, seen)
@@ -124,9 +124,9 @@ class Loop:
         return good, {}, seen
 
     def _look(self, whole: bool = False) -> Seen | str:
-        """Error, maps and views of the present state, or the name of what is not finite in it. A sample is
-        measured where the method gives one, unless ``whole`` is asked for.
-        """
+        """Error, maps and views of the present state, or a text that names a part that is not finite.
+
+        If the method gives a sample, only the sample is measured, unless ``whole``."""
         for name, value in self.method.state().items():
             if not finite(value):
                 return f"{name} not finite"
@@ -150,7 +150,7 @@ class Loop:
 
     @property
     def progress(self) -> float:
-        """Share of the run that is done, by whichever limit is nearer; 1 where the method has settled."""
+        """Share of the run that is done, by the limit that is nearer; 1 if the method has ended."""
         if self.method.done:
             return 1.0
         shares = [self.iteration / self.config.iterations] if self.config.iterations else []
@@ -169,7 +169,6 @@ class Loop:
         return "budget" if over and self.iteration else None  # a first step is made, however short the budget
 
     def _state(self, stopped: str | None = None) -> LiveState:
-        """What a live page shows now."""
         method, capture = self.method, self.capture
         svbrdf = method.preview() or self.seen[1]
         return LiveState(
@@ -195,7 +194,7 @@ class Loop:
 
     @property
     def _limits(self) -> list[float]:
-        """The most seconds and iterations; 1e9 stands for no limit."""
+        """Limits of seconds and iterations; 1e9 if there is no limit."""
         return [self.config.budget or 1e9, self.config.iterations or 1e9]
 
     def _task(self) -> dict[str, str]:
@@ -218,9 +217,8 @@ class Loop:
         save_tensors(self.checkpoint, tensors, note)
 
     def resume(self, path: Path) -> None:
-        """Continue from a checkpoint. A fit that lacked time begins anew where a limit is at least twice what
-        it was: nothing builds on what it decided in a hurry. ConfigError: it is no checkpoint, or of another
-        kind of fit.
+        """Continue from a checkpoint. A fit that lacked time starts from the beginning if a limit has at
+        least doubled: its hurried decisions are dropped. ConfigError: no checkpoint, or one of another fit.
         """
         tensors, note = load_tensors(path)
         if note.get("method") != type(self.method).__name__ or note.get("bsdf") != self.config.bsdf:

@@ -1,4 +1,4 @@
-"""What the loop asks of a method, and what methods share."""
+"""The interface of a method to the loop, and code that methods share."""
 
 import math
 from abc import ABC, abstractmethod
@@ -18,17 +18,17 @@ from .task import Config, FitTask
 
 
 class Trained:
-    """What is advanced step by step. Its whole running state is named tensors."""
+    """Something that is trained step by step. Its whole running state is a dict of named tensors."""
 
     pace = 1.0  # factor of all step sizes
 
     @property
     def parts(self) -> dict[str, Held]:
-        """What steps change, by name."""
+        """A dict: name to each thing that steps change."""
         return {}
 
     def state(self) -> dict[str, Tensor]:
-        """Everything a later :meth:`load_state` needs to go on bit by bit."""
+        """Everything that :meth:`load_state` needs to continue with identical results."""
         return state_of(self.parts) | {"pace": torch.tensor(self.pace, dtype=torch.float64)}
 
     def load_state(self, state: dict[str, Tensor]) -> None:
@@ -45,8 +45,8 @@ class Method(ABC, Trained, Generic[Config]):
     """One way to fit."""
 
     measured_every = 10  # steps; a fixed count, so that a resumed run keeps the same best result
-    latest_is_best = False  # whether the result is the last state, not the one that explains photos best
-    ended = False  # whether no step follows: only the result is asked for
+    latest_is_best = False  # whether the result is the last state; False: the state with the lowest error
+    ended = False  # whether no step follows, and only the result is still needed
 
     def __init__(self, task: FitTask[Config]) -> None:
         self.capture, self.renderer, self.config = task.capture, task.renderer, task.config
@@ -67,18 +67,18 @@ class Method(ABC, Trained, Generic[Config]):
 
     @abstractmethod
     def step(self, progress: float) -> dict[str, float]:
-        """One iteration at this share (0 to 1) of the run; returns the unweighted losses before it."""
+        """One iteration; returns the unweighted losses before it. ``progress``: share of the run, 0 to 1."""
 
     @abstractmethod
     def estimate(self) -> tuple[SVBRDF, Views]:
         """The present material and views, detached."""
 
     def end(self) -> None:  # noqa: B027
-        """Free what only further steps would need."""
+        """Free memory that only further steps would need."""
 
     @property
     def done(self) -> bool:
-        """Whether going on would change nothing."""
+        """Whether further steps would change nothing."""
         return False
 
     @property
@@ -87,16 +87,16 @@ class Method(ABC, Trained, Generic[Config]):
         return False
 
     def glimpse(self) -> tuple[SVBRDF, Views, Capture] | None:
-        """A small sample of :meth:`estimate` with its photos, while the whole takes long; else None."""
+        """A small sample of :meth:`estimate` with its photos, if the whole takes long; else None."""
         return None
 
     def preview(self) -> SVBRDF | None:
-        """The present material of any size, nearly for free; None stands for the latest measurement."""
+        """The present material at any resolution, if it costs nearly nothing; else None."""
         return None
 
     @property
     def omitted(self) -> list[Omitted]:
-        """What the method found not to be needed while it ran."""
+        """The parts that the method omitted, because it found while running that they were not needed."""
         return []
 
     @property
@@ -108,7 +108,7 @@ class Method(ABC, Trained, Generic[Config]):
 def descend(total: Tensor, *optimizers: torch.optim.Optimizer) -> float:
     """One step of each optimiser down the gradient of ``total``, unless that gradient is not finite.
 
-    Gives 0, or NaN where no step was made. The loop undoes a step whose losses contain NaN.
+    Returns 0, or NaN if no step was made. The loop undoes a step whose losses contain NaN.
     """
     for optimizer in optimizers:
         optimizer.zero_grad(set_to_none=True)

@@ -1,4 +1,4 @@
-"""The methods by name: a method is added here, and in :func:`mitsvbrdf.fit.make_method`."""
+"""The methods: name to settings. A new method is added here and in :func:`mitsvbrdf.fit.make_method`."""
 
 from ..errors import ConfigError
 from .config import DirectConfig, FitConfig, HierarchicalConfig, HybridConfig

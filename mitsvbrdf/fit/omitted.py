@@ -21,9 +21,9 @@ _NO_DISCRIMINATOR = "there is no generator to teach: each pixel's error says wha
 
 
 def omitted_by(task: FitTask, views: Views | None = None) -> list[Omitted]:
-    """What a fit does not compute, whatever its method decides later: the renderer's list and the method's.
+    """What a fit does not compute, by renderer, settings and photos, before its method decides on more.
 
-    The views are as fitted; default: as calibrated. A flash offset found later can need the Fresnel curve.
+    ``views``: the fitted ones; default: those of the capture. A fitted flash offset can need the Fresnel curve.
     """
     config = task.config
     material = unknown_but(task.fixed, config.bsdf, task.capture.resolution, config.grey_specular)
@@ -48,7 +48,7 @@ def omitted_by(task: FitTask, views: Views | None = None) -> list[Omitted]:
 
 
 def explained(task: FitTask) -> tuple[list[Omitted], list[Omitted]]:
-    """What a fit omits whatever its photos show, and what it may omit; there ``why`` states the condition."""
+    """Two lists: what a fit omits in any case; what it may omit, with the condition in ``why``."""
     if not isinstance(task.config, HierarchicalConfig) or task.of_looks:
         return omitted_by(task), []
     return omitted_by(task) + omitted_stages(task), decided_later(task)

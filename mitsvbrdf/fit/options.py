@@ -15,7 +15,7 @@ from .config import FitConfig
 from .detail_config import DetailConfig
 from .methods import METHODS, method_name
 
-PREDICTED = 9  # held-out photos that the page of a fit shows at once; `report --capture` shows all
+PREDICTED = 9  # most held-out photos on the page of a fit; `report --capture` shows all
 
 # Settings of earlier fits, whose fit.json is still read: former names, and settings that are gone.
 FORMER = {"own": "detail_spread", "tails": "highlight_reach", "likeness": "similarity",
@@ -29,7 +29,7 @@ class FitOptions:
     """The options that every method has."""
 
     renderer: RendererName = "mitsuba"
-    """What draws the comparison, and carries gradients where the method is direct, hybrid or gan."""
+    """Renderer of the images that are compared with photos. direct, hybrid and gan need its gradients."""
     resolution: int = 256
     """Side of the maps in texels; photos are area-averaged down to it."""
     views: Annotated[str | None, arg(metavar="0,1,2,...")] = None
@@ -39,15 +39,15 @@ class FitOptions:
     transfer: Literal["auto", Transfer] = "auto"
     """Encoding of light in photos. auto: as stated, else gamma2.2 if calibrated, srgb if plain photos."""
     axes: Axes = "right-up"
-    """Where x and y of a calibration's positions point in the photos."""
+    """Directions in the photos of the x and y axes of a calibration."""
     side: float | None = None
-    """Side of the patch in the unit of the positions. Default: as stated."""
+    """Side of the patch, in the unit of the calibration's positions. Default: as stated."""
     light_factor: float = 1.0
-    """Factor on the stated light power: 0.0001 if it is in centimetres and the positions in metres."""
+    """Factor on the stated light power: 0.0001 if the power uses centimetres and the positions use metres."""
     variant: Literal["llvm_ad_rgb", "cuda_ad_rgb"] = "llvm_ad_rgb"
     """Mitsuba variant."""
     detail: Literal["none", "gan"] = "none"
-    """gan: also write OUT/detail: maps with invented detail where photos leave texels open. For pictures."""
+    """gan: also write OUT/detail, maps with invented detail where photos show too little. For pictures."""
     detail_steps: int = DetailConfig.steps
     """Steps of --detail gan. 80 take under a minute at 256 px."""
 
@@ -66,34 +66,34 @@ class FitOptions:
         return Reading(self.axes, self.side, self.light_factor)
 
     def light(self, config: FitConfig) -> Falloff:
-        """The light falloff that is asked for, else the one that the method assumes."""
+        """The light falloff of ``--falloff``; if ``auto``, the one that the method assumes."""
         return config.falloff if self.falloff == "auto" else self.falloff
 
     def detail_config(self, config: FitConfig) -> DetailConfig | None:
-        """Settings of the plausible detail; None where none is asked for."""
+        """Settings of the plausible detail; None if it is not asked for."""
         return DetailConfig(steps=self.detail_steps, seed=config.seed) if self.detail == "gan" else None
 
     def chosen(self, photos: Capture) -> tuple[Capture, Capture | None]:
-        """The photos to fit; and, as stated, these and held-out ones, which the page predicts, or None."""
+        """Two captures: photos to fit; as stated, these and held-out ones that the page predicts, or None."""
         numbers = photo_numbers(self.views)
         shots = self.reading.of(photos if numbers is None else photos.pick(numbers))
         unused = [number for number in photos.index if number not in shots.index][:PREDICTED]
         return shots, photos.pick(sorted({*shots.index, *unused})) if unused else None
 
     def record(self, shots: Capture) -> dict:
-        """What ``fit.json`` keeps of the options; the falloff is that of the photos' views."""
+        """The options as kept in ``fit.json``; the falloff is that of the photos' views."""
         kept = ("renderer", "resolution", "views", "transfer", "variant", "detail", "axes", "side",
                 "light_factor")
         return {name: getattr(self, name) for name in kept} | {"falloff": shots.views.falloff}
 
 
 def config_record(config: FitConfig) -> dict:
-    """A method and its settings as JSON can hold them; :func:`config_of` makes them settings again."""
+    """A dict for JSON: the method and its settings; :func:`config_of` turns it into settings again."""
     return {"method": method_name(config), **asdict(config)}
 
 
 def config_of(record: dict) -> FitConfig:
-    """The settings that a record of :func:`config_record` holds, under their present or former names.
+    """The settings in a record of :func:`config_record`, which may use present or former names.
 
     ConfigError: a method or a setting of a later version.
     """
