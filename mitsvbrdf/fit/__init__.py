@@ -77,8 +77,7 @@ def pretrain(capture: Capture, renderer: Renderer, config: GanConfig, checkpoint
     Args:
         capture: its first photo is used.
         config: settings with one of the paper's presets; ``iterations`` defaults to the paper's 10,000.
-        checkpoint: file (.safetensors) for the weights.
-        report: as in :func:`fit_svbrdf`.
+        checkpoint: file (.safetensors) for the weights. ``report``: as in :func:`fit_svbrdf`.
 
     Raises:
         ConfigError: settings out of range, a preset that is not the paper's, or ``pretrained`` is given.

@@ -56,7 +56,7 @@ def _bytes(value: Tensor) -> memoryview:
 
 
 def load_tensors(path: Path | str) -> tuple[dict[str, Tensor], dict]:
-    """Tensors and note of a :func:`save_tensors` file. ConfigError: no or a damaged checkpoint of ours."""
+    """Tensors and note from a file of :func:`save_tensors`. ConfigError: another or a damaged file."""
     try:
         if not Path(path).is_file():  # to open a pipe would block
             raise ValueError("no such file")
@@ -139,7 +139,7 @@ def _load_optimizer(name: str, optimizer: torch.optim.Optimizer, state: dict[str
 
 def fingerprints(config: FitConfig, capture: Capture, renderer: Renderer,
                  fixed: Mapping[str, Tensor]) -> dict[str, str]:
-    """The name and a fingerprint of each thing that determines a fit, except its limits.
+    """A fingerprint of each thing that determines a fit, except its limits: a dict, name to text.
 
     The fingerprint of a fixed map comes from its values: its file may change later.
     """

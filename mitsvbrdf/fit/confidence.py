@@ -7,8 +7,8 @@ distribution has a large d. Errors that all photos share, such as in light power
 
 A texel does not count as determined if its photos contradict its answer, even if its look-alikes confirm it.
 
-Large maps have a distribution for every k-th texel only. There, the deviation of each texel comes from the
-curvature of its own errors, times a ratio: deviation by distribution / by curvature, of the nearby k-th ones.
+Maps above 64 px have a distribution for every k-th texel only. Each texel's deviation is then the one by the
+curvature of its errors, times a ratio: deviation by distribution / by curvature, at nearby k-th texels.
 
 The numbers are the ones in which errors are counted (docs/conventions.md). Each has a range of 1. A number
 that no photo determines has the deviation of a uniform distribution, 1 / sqrt(12).
@@ -90,7 +90,7 @@ def _spread(found: Deviations, here: Deviations, there: Deviations) -> Deviation
 
 def _by_curvature(svbrdf: SVBRDF, capture: Capture, own: OwnPhotos, solver: TexelSolver,
                   every: slice) -> tuple[Deviations, Tensor, Tensor]:
-    """For every k-th texel: deviations by curvature, if photos contradict the answer, number of values used.
+    """For every k-th texel: deviations by curvature, whether photos contradict the answer, number of values.
 
     The noise of a pixel is that of equally bright pixels of ``own``.
     """

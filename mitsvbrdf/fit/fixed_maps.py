@@ -115,7 +115,7 @@ def _tensor(name: str, value: str, bsdf: Bsdf, resolution: int) -> Tensor:
     channels, numbers = CHANNELS[bsdf][name], [0.0, 0.0, 1.0] if value == "flat" else _numbers(value)
     if numbers is not None:
         return torch.tensor(numbers).expand(resolution, resolution, channels)
-    if not os.path.isfile(value):  # False for an invalid name; Path.is_file raises
+    if not os.path.isfile(value):  # False for a name that is too long; Path.is_file raises
         raise ConfigError(f"a number or an image file for {name}", f"{value!r}, which is neither",
                           "check the path")
     image = read_file(Path(value), name, channels)

@@ -70,7 +70,7 @@ class GanConfig(FitConfig):
     generator: GeneratorKind = AS_PRESET
     """Input of the generator. all-photos (ours): all photos. two-stream (the paper's): one photo."""
     start: Start | None = AS_PRESET
-    """Start at solved maps (default method), at the guess (if e.g. --width is given) or untrained (paper)."""
+    """solved (default): hierarchical's maps. guess (default with e.g. --width). untrained: the paper's."""
     width: int = AS_PRESET
     """Channels of the first convolution of both networks."""
     learning_rate: float = AS_PRESET
@@ -92,7 +92,7 @@ class GanConfig(FitConfig):
     adversarial: float = AS_PRESET
     """Weight of the adversarial loss."""
     features: float = AS_PRESET
-    """Weight of feature matching: distance between activations of the discriminator for rendering, photo."""
+    """Weight of feature matching: distance of discriminator activations between rendering and photo."""
     diffuse: float = AS_PRESET
     """Weight of the diffuse loss: distance of the diffuse map to the guess (the paper states no weight)."""
     smooth: float = AS_PRESET

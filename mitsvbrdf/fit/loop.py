@@ -124,9 +124,9 @@ class Loop:
         return good, {}, seen
 
     def _look(self, whole: bool = False) -> Seen | str:
-        """Error, maps and views of the present state, or a text that names a part that is not finite.
-
-        If the method gives a sample, only the sample is measured, unless ``whole``."""
+        """Error, maps and views of the present state, or a text that names a part that is not finite. If the
+        method gives a sample, only the sample is measured, unless ``whole``.
+        """
         for name, value in self.method.state().items():
             if not finite(value):
                 return f"{name} not finite"

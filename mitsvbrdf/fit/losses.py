@@ -22,7 +22,7 @@ ABOUT = {"diffuse": ("diffuse", "base_color", "metallic"), "smooth": ("specular"
 
 
 def unused(weights: Mapping[str, float], bsdf: Bsdf, fixed: Collection[str]) -> dict[str, str]:
-    """A dict: loss that a fit does not compute, to the reason: its weight is 0, or its maps are fixed."""
+    """The losses that a fit does not compute: name to reason. Their weight is 0, or their maps are fixed."""
     reasons = {}
     for name, weight in weights.items():
         about = [m for m in ABOUT.get(name, ()) if m in CHANNELS[bsdf]]
@@ -58,7 +58,7 @@ def diffuse(svbrdf: SVBRDF, guess: Tensor) -> Tensor:
 
 
 def total_variation(svbrdf: SVBRDF, edges: Tensor, fixed: Collection[str] = ()) -> Tensor:
-    """Mean absolute step of specular/metallic and roughness, less where the guess has an edge (ours).
+    """Mean absolute step of specular/metallic and roughness, with less weight at edges of the guess (ours).
 
     Args:
         fixed: names of the fixed maps, which are not counted.

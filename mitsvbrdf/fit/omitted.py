@@ -23,7 +23,7 @@ _NO_DISCRIMINATOR = "there is no generator to teach: each pixel's error says wha
 def omitted_by(task: FitTask, views: Views | None = None) -> list[Omitted]:
     """What a fit does not compute, by renderer, settings and photos, before its method decides on more.
 
-    ``views``: the fitted ones; default: those of the capture. A fitted flash offset can need the Fresnel curve.
+    ``views``: the fitted ones; default: the capture's. A fitted flash offset can need the Fresnel curve.
     """
     config = task.config
     material = unknown_but(task.fixed, config.bsdf, task.capture.resolution, config.grey_specular)

@@ -1,6 +1,6 @@
-"""The fit of one photo of a material that repeats itself, by look classes.
+"""The fit of one photo of a material that repeats itself, by classes of texels (:mod:`.look_classes`).
 
-The photo checks the lobes: the maps, shifted and rendered, must resemble it (:func:`.repeats.unlike`).
+The widths of lobes are checked: the maps, shifted and rendered, must resemble the photo (`repeats.unlike`).
 """
 
 import math
@@ -27,22 +27,22 @@ METALS, BLACK = ((0.3, 0.1), (0.25, 0.3), (0.25, 0.7), (0.45, 0.5)), 0.02
 # Reliefs of classes: those of metals differ, else equal classes would have equal gradients and stay equal.
 ALIKE, APART = (0.1,) * CLASSES, tuple(0.1 * 2.0 ** (k - CLASSES // 2) for k in range(CLASSES))
 TRIED, STEPS, ITERATIONS = 50, 80, 10  # Adam's steps from a start, from the best one, in a step of the method
-AGAIN = 3  # likeliest starts, which descend once more before one is chosen: the first descents do not decide
+AGAIN = 3  # likeliest starts: they descend once more before one is chosen, as first descents are not reliable
 FEW, SOME, MANY = 512, 1024, 1536  # pixels of a descent: from all starts, from the likeliest, from the best
-NODES, MORE, MOST = 16, 24, 64  # nodes of a pixel: in descents from all starts, in later ones, in the end
+NODES, MORE, MOST = 16, 24, 64  # nodes (samples) a pixel: in descents from all starts, later ones, at the end
 RATES = 0.06, 0.04, 0.03  # Adam's step sizes: for all starts, for the likeliest and for the best one
 BEFOREHAND = 1e-3  # weight of the log prior, beside the log likelihood of a pixel
 STATIONARY = 1.0  # weight of how uneven texels are, beside the log likelihood of a pixel
 UNLIKELIEST = -60.0  # least log likelihood of a pixel, for pixels that no class explains
 CHUNK = 2048  # pixels at once
 WORST = 1e30  # cost of a start that was not tried, or is not finite
-# Factors of the slope variance by which lobes are widened; a factor above 0 is used if the shifted maps then
-# differ from the photo by less than LESS times as much. 2, as slopes have longer tails than normal numbers.
+# Lobes are widened by a factor times the variance of slopes. A factor above 0 is used if the error of shifted
+# maps is then less than LESS times that of factor 0. Factor 2: slopes have longer tails than normal numbers.
 WIDER, LESS = (0.0, 1.0, 2.0), 0.5
 
 
 def nodes(pixels: int, count: int, seed: int) -> Tensor:
-    """Normal numbers that fill their space evenly, M x J x 3; each pixel's are turned by its own angle."""
+    """Evenly spread normal numbers, M x J x 3; the numbers of each pixel are rotated by its own angle."""
     even = torch.quasirandom.SobolEngine(3, scramble=True, seed=seed).draw(count).clamp(1e-4, 1 - 1e-4)
     x, y, z = torch.special.ndtri(even).T
     turn = (torch.arange(pixels) * math.pi * (3 - math.sqrt(5)))[:, None]
@@ -51,12 +51,12 @@ def nodes(pixels: int, count: int, seed: int) -> Tensor:
 
 
 class OnePhoto(Method[HierarchicalConfig]):
-    """Descends to the likeliest look classes: from each start, from the likeliest ones, from the best one.
+    """Gradient descent to the likeliest classes: from each start, from the likeliest ones, from the best one.
 
-    Unknown, too, are place and light power of a view that is not stated, or the place of one to be refined.
+    It also finds place and light power of a view that is not stated, or the place of one to be refined.
     """
 
-    measured_every = 10**6  # steps: texels are found once, at the end
+    measured_every = 10**6  # steps: maps are computed once, at the end
     latest_is_best = True
 
     def __init__(self, task: FitTask[HierarchicalConfig]) -> None:
@@ -69,7 +69,7 @@ class OnePhoto(Method[HierarchicalConfig]):
         self._descend_from(self.tried[0])
 
     def _starts(self) -> Tensor:
-        """Numbers of classes that look like pixels away from the highlight, with each lobe; a row each."""
+        """The starts, a row each: numbers of classes that look like pixels away from the highlight."""
         flat = LookClasses.start(torch.full((CLASSES, 3), 0.5), *LOOKS[0], ALIKE)
         half, white = LookClasses(flat, self.views, True).lit(self.pixels.at)
         aside = half.norm(dim=1) > half.norm(dim=1).median()
@@ -106,10 +106,10 @@ class OnePhoto(Method[HierarchicalConfig]):
         return {"cost": cost}
 
     def _try(self, k: int, of: int, rate: float, pixels: int, many: int) -> float:
-        """Descend from start ``k``; after the last of the starts, the likeliest goes to the front."""
+        """Descend from start ``k``; after the last of the starts, sort them: the likeliest first."""
         self._descend_from(self.tried[k])
         cost = self._descents(TRIED, 0, TRIED, rate, pixels, many)
-        if math.isnan(cost):  # such a start is passed over
+        if math.isnan(cost):  # such a start is skipped
             cost = WORST
             self._descend_from(self.tried[k])
         self.tried[k], self.costs[k] = self.numbers.detach(), cost
@@ -120,10 +120,10 @@ class OnePhoto(Method[HierarchicalConfig]):
         return cost
 
     def _descents(self, count: int, first: int, of: int, rate: float, pixels: int, many: int) -> float:
-        """The mean cost of a pixel over the last descents: -log marginal likelihood, unevenness and prior.
+        """Descend; returns a pixel's mean cost in the last steps: -log likelihood, unevenness, prior.
 
-        A descent lowers all unevenness, also that by chance, so that texels vary no more than they must. The
-        mean omits the part by chance: else a lobe that hardly shows, whose texels do not vary, would win.
+        Each step lowers all unevenness, also that by chance, so that texels vary no more than they must. The
+        mean omits the part by chance: else a lobe that hardly shows, whose texels do not vary, would be best.
         """
         total, costs = len(self.pixels.at), []
         for k in range(first, first + count):
@@ -144,7 +144,7 @@ class OnePhoto(Method[HierarchicalConfig]):
         return sum(costs[-10:]) / len(costs[-10:])
 
     def estimate(self) -> tuple[SVBRDF, Views]:
-        """The texels by the present classes; before all starts were tried, the robust start."""
+        """The maps from the present classes; the robust start until all starts were tried."""
         if self.last < -AGAIN:
             return self.begun, self.views
         numbers = self.numbers.detach() if self.last >= 0 else self.tried[0]
@@ -159,7 +159,7 @@ class OnePhoto(Method[HierarchicalConfig]):
         return self._widened(texels, lost, views), views
 
     def _widened(self, texels: Tensor, lost: Tensor, views: Views) -> SVBRDF:
-        """The material of texels; in the end with lobes as wide as the photo asks for."""
+        """The material of texels; at the end, with lobes widened if the maps then suit the photo better."""
         side = self.capture.resolution
         found = [material(texels, wider * lost, side) for wider in WIDER[:None if self.done else 1]]
         misses = [unlike(svbrdf, views, self.capture, self.renderer) for svbrdf in found]
@@ -168,7 +168,7 @@ class OnePhoto(Method[HierarchicalConfig]):
 
     @property
     def parts(self) -> dict[str, Held]:
-        """The numbers, those tried with their costs, and Adam's averages."""
+        """The present numbers, the starts with their costs, and Adam's averages."""
         return {"numbers": self.numbers, "tried": self.tried, "costs": self.costs, "adam": self.optimizer}
 
     def state(self) -> dict[str, Tensor]:

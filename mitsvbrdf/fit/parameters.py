@@ -7,7 +7,7 @@ from torch import Tensor
 
 from ..material.maps import CHANNELS, SVBRDF, Bsdf
 
-ROUGHNESS_RANGE = (0.02, 1.0)  # alpha from 4e-4, above where renderers cut it
+ROUGHNESS_RANGE = (0.02, 1.0)  # alpha from 4e-4; renderers clamp it at 1e-4 (principled: 1e-3)
 MAX_SLOPE = 1.5  # of the normal's x and y over z: 56 degrees along an axis
 
 # Channels of the raw maps, in the order of the paper's two streams (III.D); a normal is two slopes.
@@ -28,19 +28,18 @@ def streams_of(bsdf: str, fixed: Mapping[str, Tensor], grey_specular: bool = Fal
 def to_svbrdf(bsdf: Bsdf, raw: Mapping[str, Tensor], fixed: Mapping[str, Tensor] | None = None) -> SVBRDF:
     """A material from raw maps C x R x R of unbounded numbers (normal: 2 x R x R), and fixed maps R x R x C.
 
-    A grey specular map, 1 x R x R, is expanded to three channels: its last stride is 0, and renderers check
-    that.
+    A grey specular map, 1 x R x R, is expanded to three channels: renderers detect its last stride of 0.
     """
     return from_units(bsdf, {name: torch.tanh(x) for name, x in before_tanh(raw).items()}, fixed)
 
 
 def before_tanh(raw: Mapping[str, Tensor]) -> dict[str, Tensor]:
-    """The numbers before Tanh that give these raw maps; raw maps are logits, except the normal."""
+    """The inputs of Tanh for these raw maps: half of each, since raw maps are logits; the normal itself."""
     return {name: x if name == "normal" else x / 2 for name, x in raw.items()}
 
 
 def from_units(bsdf: Bsdf, units: Mapping[str, Tensor], fixed: Mapping[str, Tensor] | None = None) -> SVBRDF:
-    """As :func:`to_svbrdf`, from numbers in (-1, 1), as the paper's Tanh gives them."""
+    """As :func:`to_svbrdf`, from outputs of Tanh, in (-1, 1), as in the paper."""
     maps = dict(fixed or {})
     for name, x in units.items():
         x = x.permute(1, 2, 0)
@@ -54,9 +53,9 @@ def from_units(bsdf: Bsdf, units: Mapping[str, Tensor], fixed: Mapping[str, Tens
 
 
 def to_raw(svbrdf: SVBRDF, streams: Streams | None = None) -> dict[str, Tensor]:
-    """The inverse of :func:`to_svbrdf`, with values cut just inside their ranges: name -> C x R x R.
+    """The inverse of :func:`to_svbrdf`: name -> C x R x R. Values are clamped just inside their ranges.
 
-    Only of the maps of these streams; default: all.
+    Only the maps in ``streams`` are converted; default: all.
     """
     first, second = streams or STREAMS[svbrdf.bsdf]
     raw = {}

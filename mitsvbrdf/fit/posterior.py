@@ -1,14 +1,14 @@
-"""What the photos leave open of each texel: mixtures of normal distributions.
+"""The numbers that each texel may have, given the photos: mixtures of normal distributions.
 
-Roughness moves both ways, in growing steps, from the numbers that explain a texel's own photos best; at each
+Roughness moves both ways, in growing steps, from the numbers that explain a texel's own photos best. At each
 step the solver finds the other numbers again. The steps follow the valley where specular and roughness trade
-(a tail of GGX shows only F0 alpha^2). At a step the other numbers are normal (Gauss-Newton), and the step
-weighs exp(-chi^2 / 2): a profile likelihood needs no prior. At a clipped value, only a rendering that is too
-dark counts. The noise is the error of equally bright pixels, scaled to the errors of the texel's own pixels.
+off (a tail of GGX shows only F0 alpha^2). At a step, the other numbers are normally distributed
+(Gauss-Newton). The step has weight exp(-chi^2 / 2): a profile likelihood needs no prior. At a clipped value,
+only a rendering that is too dark counts. Noise: errors of equally bright pixels, scaled to the texel's.
 
-Look-alikes, where the fit uses them, give each basis material a mean and a deviation of its shared numbers
-(expectation-maximisation). These are only as certain as one texel for each photo makes them, since texels
-under one light err alike. For a share of the texels, the strangers, only their own photos count.
+If the fit uses look-alikes, they give each basis material a mean and a deviation of its shared numbers
+(expectation-maximisation). These are only as certain as from one texel per photo, because texels under one
+light have similar errors. For a share of the texels, the strangers, only their own photos count.
 """
 
 import math
@@ -28,19 +28,19 @@ from .hierarchical.solver import Observations, TexelSolver
 from .parameters import ROUGHNESS_RANGE
 
 GRID = 64  # most texels a side whose mixture is found
-FLAT = 1 / 12  # variance of a number between 0 and 1 of which nothing else is known
+FLAT = 1 / 12  # variance of a number known only to be between 0 and 1
 NODES = 8  # steps of roughness each way, to its bound
 BOUNDS = {"roughness": ROUGHNESS_RANGE, "normal": (-STEEPEST, STEEPEST)}  # else 0 to 1
 WEAK, FIXED = 1e-3, 1e12  # precisions of numbers that are free, and of a roughness that is held
 LIFTED = 0.05  # darker colours get the derivatives of this one: linear^(1/2.2) is steep at 0
-BRIGHTNESSES = 12  # of equally many pixels each, with a noise of their own
-LEAST_FREE = 0.05  # least share of a texel's values that its unknowns leave for the noise
-CONTRADICTED = 2.0  # distance, in deviations of look-alikes, from which on they contradict an answer
-ROUNDS, COMMON = 10, 20.0  # of expectation-maximisation; texels that the common deviation counts as
+BRIGHTNESSES = 12  # groups of equally many pixels, by brightness; each has its own noise
+LEAST_FREE = 0.05  # least share of a texel's values that counts for the noise, after its unknowns
+CONTRADICTED = 2.0  # distance of an answer that look-alikes contradict, in their deviations
+ROUNDS, COMMON = 10, 20.0  # of expectation-maximisation; number of texels that the common deviation is worth
 
 
 def step_of(side: int, most: int = GRID) -> int:
-    """A step k for which every k-th of ``side`` texels gives ``most`` texels or fewer."""
+    """The smallest k for which every k-th of ``side`` texels gives ``most`` texels or fewer."""
     return math.ceil(side / most)
 
 
@@ -53,7 +53,7 @@ class Mixture(NamedTuple):
 
 
 class BrightnessNoise(NamedTuple):
-    """Variance of display values by a pixel's brightness: steps between brightnesses, a variance of each."""
+    """Variance of display values for each group of brightness; ``steps``: limits between the groups."""
 
     steps: Tensor
     variance: Tensor
@@ -65,23 +65,23 @@ class BrightnessNoise(NamedTuple):
 
 
 def lifted(x: Tensor, names: list[str]) -> Tensor:
-    """Numbers (U x ...) at which derivatives are taken: no colour is so dark that it has none."""
+    """The numbers (U x ...) at which derivatives are taken: colours are at least :data:`LIFTED`."""
     return torch.stack([plane.clamp_min(LIFTED) if name in COLOURS else plane
                         for name, plane in zip(names, x)])
 
 
 def vague(names: list[str]) -> Tensor:
-    """Precision of numbers of which nothing is known but their range, U."""
+    """Precision, U, of numbers that are known only to be in their range."""
     return torch.tensor([(0.25 if name == "normal" else 1) / FLAT for name in names])
 
 
 def refused(missed: Tensor, values: Tensor) -> Tensor:
-    """Whether photos refuse an answer that misses their values by this chi^2."""
+    """Whether photos contradict an answer with chi^2 ``missed`` over this number of ``values``."""
     return missed > values + 5 * (2 * values).sqrt()
 
 
 class OwnPhotos:
-    """The photos of R x R texels, in the views as fitted, and what they say beside the answer ``known``."""
+    """The photos of R x R texels in fitted views, and what they determine. ``known``: the fit's answer."""
 
     def __init__(self, known: SVBRDF, capture: Capture, renderer: Renderer, fixed: dict[str, Tensor],
                  grey_specular: bool) -> None:
@@ -132,7 +132,7 @@ class OwnPhotos:
         return curve.double() / self.noise2[:, None, None] + torch.diag(vague(self.names).double())
 
     def mixture(self) -> Mixture:
-        """What texels may be by their own photos."""
+        """The distribution of each texel's numbers, given its own photos."""
         free = torch.linalg.inv(self._curvature(self.best))
         if "roughness" not in self.names:
             return Mixture(self.best.flatten(1).T[:, None], free.float()[:, None], torch.ones(len(free), 1))
@@ -169,10 +169,10 @@ def _along(x: Tensor, lobe: int) -> Tensor:
 
 
 def masses(places: Tensor, log_density: Tensor) -> Tensor:
-    """Probabilities of nodes (M x J, rising), rows of sum 1; the log density is linear between nodes."""
+    """Probabilities of nodes, M x J, rows of sum 1. ``places`` rise; log density is linear between nodes."""
     logs = (log_density - log_density.amax(dim=1, keepdim=True)).double()
     rise = logs.diff(dim=1)
-    fall = rise.abs().clamp_min(1e-4)  # of the integral of exp(-fall t) from 0 to 1, and that of t times it
+    fall = rise.abs().clamp_min(1e-4)  # whole, far: integrals of exp(-fall t), t exp(-fall t), 0 to 1
     whole, far = -torch.expm1(-fall) / fall, (1 - (1 + fall) * torch.exp(-fall)) / fall**2
     scale = places.diff(dim=1).clamp_min(0) * torch.maximum(logs[:, 1:], logs[:, :-1]).exp()
     right = scale * torch.where(rise > 0, whole - far, far)
@@ -181,10 +181,10 @@ def masses(places: Tensor, log_density: Tensor) -> Tensor:
 
 
 def with_look_alikes(own: Mixture, of: Tensor, member: Tensor, photos: int, answer: Tensor) -> Mixture:
-    """What texels may be by their own N photos and those of look-alikes, which share the numbers ``of``.
+    """The distribution of texels' numbers, given own photos and look-alikes, which share the numbers ``of``.
 
-    ``member`` holds the shares of K basis materials in the texels, M x K. Where look-alikes contradict the
-    answer, M x U, the answer does not come from them: only own photos count.
+    ``member``: shares of K basis materials in the texels, M x K. ``photos``: their number. If look-alikes
+    contradict a texel's ``answer``, M x U, it does not come from them: only the texel's own photos count.
     """
     x, weight = own.x[..., of], own.weight.clamp_min(1e-30).log()
     variance = own.covariance.diagonal(dim1=2, dim2=3)[..., of].clamp_min(1e-10)
@@ -195,7 +195,7 @@ def with_look_alikes(own: Mixture, of: Tensor, member: Tensor, photos: int, answ
     tau2, strange = torch.full_like(mean, FLAT), torch.full_like(mean[0], 0.1)
 
     def prior(spread: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-        """Basis materials of texels, M x K, by look and photos; mean, variance, share of strangers."""
+        """Shares of basis materials (M x K, by look and photos); their mean, variance, share of strangers."""
         whole = width[:, :, None] + spread
         part = torch.softmax(member.clamp_min(1e-30).log() - ((centre[:, :, None] - mean).square() / whole
                                            + whole.log()).sum(dim=1) / 2, dim=1)

@@ -1,4 +1,4 @@
-"""``fit.json`` as it is read back: the kinds of its fields, and what is missing or wrong."""
+"""Reading of ``fit.json``: the types of its fields, and checks for missing or wrong ones."""
 
 from pathlib import Path
 from typing import Any, Generic, TypeVar
@@ -12,7 +12,7 @@ FILE = "fit.json"
 SCHEMA_VERSION = 1
 FORMER = {"left_out": "omitted", "finish": "detail"}  # names of fields in fit.json of earlier versions
 LATER: dict[str, Any] = {"used": [], "calibrated_rmse": None}  # fields that earlier versions did not write
-# What a page needs of fit.json, as types; see :func:`~mitsvbrdf.io.json.shape_error`.
+# Types of the fields that a page needs from fit.json; see :func:`~mitsvbrdf.io.json.shape_error`.
 _SHAPE = {"method": str, "renderer": str, "bsdf": str, "rerender_rmse": NUMBER, "per_photo": {str: NUMBER},
     "calibrated_rmse": NUMBER | None,
     "confidence": {str: {"median_sd": NUMBER, "determined_share": NUMBER}}, "burn_in": {str: NUMBER},
@@ -22,12 +22,12 @@ _SHAPE = {"method": str, "renderer": str, "bsdf": str, "rerender_rmse": NUMBER, 
     "omitted": [{"what": str, "why": str}], "used": [{"what": str, "how": str}],
     "capture": {"photos": [int], "resolution": int, "transfer": str, "calibrated": bool, "notes": [str]},
     "versions": {str: object}, "machine": {str: object}, "trace": [{str: NUMBER}]}
-# What the views and the light of the maps are read from.
+# Types of the fields from which views and light are read.
 _KNOWN = {"views": {"size": NUMBER, "falloff": str, "camera": [[NUMBER]], "light": [[NUMBER]],
               "intensity": [[NUMBER]]},
     "flash_offset": dict | None, "capture": {"name": str | None, "photos": [int], "transfer": str}}
 _BESIDE = {"calibration": dict, "variant": str | None, "detail": dict}  # fields that may be missing
-# What the page says of the views.
+# Sentences of the page about the origin of the views.
 FROM = {"given": "The views are those of the capture's calibration",
         "sheet": "The views come from a sheet of tags",
         "photos": "The views come from features that the photos share",
@@ -39,9 +39,9 @@ T = TypeVar("T")
 
 
 class Fact(Generic[T]):
-    """An attribute of a fit that is a field of its record; the default is for a record that lacks it.
+    """An attribute of a fit that is read from its record; ``default`` if the record lacks the field.
 
-    ``place``: names of the field and of what it is in, outermost first. Default: the attribute's own name.
+    ``place``: names of the outer dicts, outermost first, then of the field. Default: the attribute's name.
     """
 
     def __init__(self, default: Any = ..., *place: str) -> None:
@@ -58,7 +58,7 @@ class Fact(Generic[T]):
 
 
 def record_in(folder: Path) -> dict:
-    """What the ``fit.json`` of a fit holds, unchecked, with the present names of its fields.
+    """The content of a fit's ``fit.json``, unchecked; former names of fields are replaced.
 
     OSError: it cannot be read. ValueError: it is no JSON.
     """
@@ -70,10 +70,7 @@ def record_in(folder: Path) -> dict:
 
 
 def checked(record: dict) -> dict:
-    """The record, if every field in it is of its type, and views and light are in it.
-
-    ValueError: naming the field.
-    """
+    """The given record. ValueError: names a field of a wrong type, or a missing field of views or light."""
     shape = _KNOWN | {name: kind for name, kind in (_SHAPE | _BESIDE).items() if name in record
                       and name not in _KNOWN}
     if wrong := shape_error(record, shape):
@@ -88,7 +85,7 @@ def checked(record: dict) -> dict:
 
 
 def missing(record: dict) -> str:
-    """What a record lacks for a page; empty text where it is whole."""
+    """The first field that is missing or wrong for a page; empty text if there is none."""
     if record.get("schema_version") != SCHEMA_VERSION:
         return f"schema_version {record.get('schema_version')!r}"
     if wrong := shape_error(record, _SHAPE):

@@ -1,4 +1,4 @@
-"""Whether one photo is that of a material that repeats itself."""
+"""A test whether one photo shows a material that repeats itself."""
 
 import itertools
 from typing import NamedTuple
@@ -13,20 +13,20 @@ from ..material.maps import SVBRDF
 from ..render import Renderer
 from ..views import Views, half_angles
 
-# The test: rings of equal half angle; blocks a side of the photo; largest share of the variance of ranks that
-# lies between blocks; largest relative difference of their lightness, if the pattern is as large as blocks.
+# Numbers of rings of equal half angle and of blocks along a side of the photo. A photo passes if at most this
+# share of the variance of ranks is between blocks, or if their lightness differs by at most this (relative).
 RINGS, BLOCKS, BETWEEN, CONTRAST = 32, 4, 0.25, 0.05
-PLACES = (-0.2, -0.1, 0.0, 0.1, 0.2)  # tried for a flash of unknown place, in sides from the middle
+PLACES = (-0.2, -0.1, 0.0, 0.1, 0.2)  # tried if the flash's place is unknown: sides from the middle
 HARDLY_TOLD = "specular, roughness and normals are hardly determined; take more from other places"
 
 
 class Repeats(NamedTuple):
-    """Whether one photo counts as one of a material that repeats itself."""
+    """The result of the test of one photo."""
 
-    stationary: bool  # whether it does
-    between: float  # how much of the variance of its ranks lies between sixteenths of the photo, 0 to 1
+    stationary: bool  # whether the photo counts as one of a material that repeats itself
+    between: float  # share of the variance of lightness ranks between sixteenths of the photo, 0 to 1
     contrast: float  # relative difference of the lightness of these sixteenths
-    asked: bool  # whether the user decided, not the photo
+    asked: bool  # whether the user decided, not the test
 
     def said(self) -> str:
         """The sentence for users."""
@@ -45,8 +45,8 @@ def repeats(capture: Capture, asked: bool | None = None) -> Repeats:
 
     On a flat patch, all pixels of a ring of equal half angle have the same light and the same lobe, so their
     ranks by lightness come from the material. The ranks of a stationary material are alike in all blocks of
-    the photo. A flash of unknown place is put where they are most alike. ``asked`` is what the user says;
-    None leaves it to the photo.
+    the photo. A flash of unknown place is assumed where the blocks become most alike. ``asked``: decision of
+    the user; None: the test decides.
     """
     shifts = [(0.0, 0.0)] if capture.calibrated else list(itertools.product(PLACES, PLACES))
     between, contrast = min(_uneven(capture, torch.tensor([*shift, 0.0]).double()) for shift in shifts)
@@ -69,8 +69,8 @@ def _uneven(capture: Capture, shift: Tensor) -> tuple[float, float]:
 def unlike(svbrdf: SVBRDF, views: Views, capture: Capture, renderer: Renderer) -> float:
     """RMSE, in display values, between the photo and renderings of the maps shifted by half a side.
 
-    The sorted pixels of rings of equal half angle are compared. A stationary material looks alike in both,
-    and highlights that are burnt into maps appear at a wrong place.
+    The sorted pixels of rings of equal half angle are compared. A stationary material looks alike in both.
+    Highlights that are burnt into maps appear at wrong places in the renderings.
     """
     side, photo = capture.resolution, capture.photos[0].flatten(0, 1)
     rings = half_angles(views, side)[0].flatten().argsort().tensor_split(RINGS)

@@ -1,4 +1,4 @@
-"""A fitted material and how it came about: one value, in memory and in its folder."""
+"""A fitted material with the record of its fit: one value, in memory or in a folder."""
 
 from __future__ import annotations
 
@@ -29,19 +29,19 @@ from .record import FILE, SCHEMA_VERSION, Fact, checked, missing, record_in
 
 # fields that :meth:`Fit.but` changes in the record, too
 _FACTS = "rerender_rmse", "calibrated_rmse", "renderer", "variant", "warnings", "stopped", "trace"
-ALIKE = "with-look-alikes"  # folder of deviations that count look-alikes
+ALIKE = "with-look-alikes"  # folder of deviations that use look-alikes
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Fit:
-    """A fit, in memory or from its folder: what ``fit.json`` says, and arrays, read on first use."""
+    """A fit, in memory or from its folder: the content of ``fit.json``, and arrays, read on first use."""
 
     record: dict = field(default_factory=dict)  # of fit.json (docs/formats.md); empty for maps without a fit
-    path: Path = Path()  # its folder; of a fit in memory the working folder
-    known: Mapping[str, Any] = field(default_factory=dict)  # attributes that are in memory, by name
+    path: Path = Path()  # its folder; the working folder for a fit in memory
+    known: Mapping[str, Any] = field(default_factory=dict)  # name to value of attributes in memory
 
     def __post_init__(self) -> None:
-        vars(self).update(self.known)  # where cached properties look first
+        vars(self).update(self.known)  # cached properties look here first
 
     method = Fact[str | None](None)
     """Name of the method; None when unknown."""
@@ -56,9 +56,9 @@ class Fit:
     rerender_rmse = Fact[float]()
     """Error of the re-rendered photos, in display values clipped to [0, 1]."""
     calibrated_rmse = Fact[float | None](None)
-    """The same error in stated views with the flash offset; None if ``views`` are these or none is stated."""
+    """The same error in stated views plus flash offset; None if ``views`` are these or none is stated."""
     calibration = Fact[dict]({})
-    """What is known of the views and how surely; see :func:`mitsvbrdf.fit.diagnose.views_record`."""
+    """Origin and standard deviations of the views; see :func:`mitsvbrdf.fit.diagnose.views_record`."""
     detail_record = Fact[dict | None](None, "detail")
     """Settings, seconds and errors of the plausible detail, or None."""
     capture = Fact[str | None](None, "capture", "name")
@@ -74,7 +74,7 @@ class Fit:
 
     @staticmethod
     def load(folder: str | Path) -> Fit:
-        """A whole fit from its folder, the OUT of a fit. MapsError: the folder has no whole fit."""
+        """A complete fit from its folder, the OUT of a fit. MapsError: the folder has no complete fit."""
         folder = Path(folder)
         if not (folder / FILE).is_file():
             raise MapsError("the OUT of `mitsvbrdf fit`", f"{folder}, which has no {FILE}", "check the path")
@@ -87,7 +87,7 @@ class Fit:
 
     @staticmethod
     def of_maps(maps: str | Path) -> Fit:
-        """The fit that maps come from; one with an empty record where there is no ``fit.json``.
+        """The fit that maps come from; one with an empty record if there is no ``fit.json``.
 
         Args:
             maps: the folder of a fit, or the ``maps`` or ``detail`` folder inside it.
@@ -109,12 +109,12 @@ class Fit:
 
     @cached_property
     def svbrdf(self) -> SVBRDF:
-        """The material: the last (``hierarchical``, ``gan`` from solved maps), else that of lowest error."""
+        """The material: the last one (``hierarchical``, ``gan`` from solved maps) or that of lowest error."""
         return load_maps(self.path / "maps", self.record["bsdf"])
 
     @cached_property
     def detail(self) -> SVBRDF | None:
-        """One plausible draw of what no photo shows, for pictures; None where none was asked for."""
+        """One plausible draw of what no photo shows, for pictures; None if it was not asked for."""
         folder = self.path / (DETAIL if (self.path / DETAIL).is_dir() else FORMER_DETAIL)
         return load_maps(folder, self.record["bsdf"]) if "detail" in self.record else None
 
@@ -125,17 +125,17 @@ class Fit:
 
     @cached_property
     def photos(self) -> Tensor:
-        """The photos used, N x R x R x 3 in display values; in a folder, of 8 bits."""
+        """The photos used, N x R x R x 3 in display values; of 8 bits if read from a folder."""
         return (self.known["shots"].photos if "shots" in self.known
                 else torch.stack([*map(self.photo, self.seen)]))
 
     @cached_property
     def rerendered(self) -> Tensor:
-        """Linear radiance N x R x R x 3 of the photos used."""
+        """Renderings of the photos used, linear radiance N x R x R x 3."""
         return torch.stack([*map(self.rerendering, range(len(self.names)))])
 
     def rerendering(self, row: int) -> Tensor:
-        """One of :attr:`rerendered`, R x R x 3; for a fit in memory, large ones are rendered at each call."""
+        """One of :attr:`rerendered`, R x R x 3; a large one of a fit in memory is rendered at each call."""
         if "rerendered" in self.known:
             return self.rerendered[row]
         if "seen_by" in self.known:
@@ -144,12 +144,12 @@ class Fit:
 
     @cached_property
     def deviations(self) -> Mapping[str, Tensor]:
-        """Deviation of fitted maps by own photos: r x r x C, r <= 1024; in a folder R x R x 1 (RMS)."""
+        """Deviations by own photos: map name to r x r x C, r <= 1024; from a folder R x R x 1 (RMS)."""
         return self._deviations("uncertainty")
 
     @cached_property
     def deviations_with_look_alikes(self) -> Mapping[str, Tensor]:
-        """The same with look-alikes, which is the error to expect; empty where texels share nothing."""
+        """The same by own photos and look-alikes: the errors to expect; empty if texels share nothing."""
         return self._deviations(f"uncertainty/{ALIKE}")
 
     def _deviations(self, of: str) -> Mapping[str, Tensor]:
@@ -222,7 +222,7 @@ class Fit:
 
     @cached_property
     def flash_offset(self) -> tuple[float, float] | None:
-        """By how much (x, y), in patch sides, the fit moved the flash beside the lens, or None."""
+        """How far (x, y), in patch sides, the fit moved the flash relative to the lens; None: not fitted."""
         found = self.record.get("flash_offset")
         return found and (float(found["x"]), float(found["y"]))
 
@@ -233,37 +233,37 @@ class Fit:
 
     @property
     def light_power_factor(self) -> float:
-        """Factor by which the maps changed the stated light power."""
+        """Factor on the light power, found from the maps; 1 if it was not changed."""
         return float(self.calibration.get("power_told") or 1.0)
 
     @property
     def side_metres(self) -> float | None:
-        """Side of the patch in metres; None unless a sheet in the photos told the unit of the views."""
+        """Side of the patch in metres; None if no sheet of tags in the photos gave the unit of the views."""
         return self.views.size / 100 if self.calibration.get("from") == "sheet" else None
 
     @cached_property
     def small_photos(self) -> dict[int, np.ndarray]:
-        """Photos by number, 4 x 4 x 3: those used, in a folder also predicted ones; empty without any."""
+        """A dict: number to photo, averaged to 4 x 4 x 3. Photos used; from a folder also predicted ones."""
         stems = [path.stem for path in (self.path / "photos").glob("*.png")] if self.record else ()
         numbers = self.seen if "shots" in self.known else [int(stem) for stem in stems if stem.isdecimal()
                                                            and stem == f"{int(stem):02d}"]
         return {number: images.averaged(self.photo(number).numpy(), 4) for number in numbers}
 
     def photo(self, number: int) -> Tensor:
-        """A photo by its number, R x R x 3, as it is kept."""
+        """The photo with this number, R x R x 3, as it is stored."""
         if "shots" in self.known:
             return self.known["shots"].stored[self.seen.index(number)]
         return self._image(f"photos/{number:02d}.png")
 
     def unchanged(self) -> bool:
-        """Whether ``fit.json`` in its folder still says the same."""
+        """Whether ``fit.json`` in its folder still equals the record."""
         return record_in(self.path) == self.record
 
 
 def _read(folder: Path) -> Fit:
     try:
         fit = Fit(checked(record_in(folder)), folder)
-        _ = fit.flash_offset, fit.views, fit.light_power_factor  # they are checked as they are made
+        _ = fit.flash_offset, fit.views, fit.light_power_factor  # making them checks them
     except (OSError, ValueError, KeyError, TypeError, MitsvbrdfError) as reason:
         raise MapsError(f"a {FILE} of this package", f"{folder / FILE}: {error_text(reason)}",
                         "move it away to read the maps alone") from None

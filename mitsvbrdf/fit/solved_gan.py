@@ -1,10 +1,10 @@
-"""``gan`` from solved maps: a map is changed only if photos held out of the game are then predicted better.
+"""``gan`` from solved maps: a map changes only if held-out patches of photos are then predicted better.
 
 The default method solves twice: from all photos, and from all but held-out patches (at each texel, one photo
-is held out). The game of :mod:`.generator.detail` begins at the second answer and does not see these patches
-either. Each map stays within what the photos leave open. From time to time each set of maps is judged: how
-well does the second answer predict the patches with and without their change? The result is the first answer
-with the change of those maps that helped, if the photos stay explained; often no map helps.
+is held out). The game (adversarial training) of :mod:`.generator.detail` starts at the second answer, without
+these patches. Its changes stay within bounds from the deviations of the maps. Every :data:`BEAT` steps, each
+set of maps is tested: does its change improve the prediction of the patches by the second answer? The result
+is the first answer plus the change that helped most, if the photos stay explained. Often none helps.
 """
 
 import itertools
@@ -39,10 +39,10 @@ from .task import FitTask
 BLOCKS = 16  # patches along a side; in each, one photo is held out
 WITHOUT = 0.5  # largest share of the time left that solving without the patches may take
 SURE = 3.0  # standard errors by which patches must be predicted better for a change to be kept
-# Largest factor by which a change may raise the error of all photos: a change that mends a bad answer found
-# without the patches may spoil the answer of all photos.
+# Largest factor by which a change may raise the error of all photos: a change that improves a bad second
+# answer may spoil the first one.
 WORSE = 1.1
-BEAT = 20  # steps of the game from one judgement to the next
+BEAT = 20  # steps of the game from one test of its changes to the next
 VIEWS = "camera", "light", "intensity"
 SHARED = "bsdf", "guess", "seed", "fix", "grey_specular", "flash_offset"  # settings of both methods
 GAME, ENDED = 2, 3  # stages after solving with all photos (0) and without the patches (1)
@@ -56,7 +56,7 @@ def solver_of(task: FitTask[HierarchicalConfig]) -> Method:
 class SolvedGan(Method[GanConfig]):
     """Rounds of the solver, then steps of the game. BackendError: Mitsuba or libLLVM is missing."""
 
-    latest_is_best = True  # photos held out decide, not those seen
+    latest_is_best = True  # held-out patches decide, not the error of all photos
 
     def __init__(self, task: FitTask[GanConfig]) -> None:
         super().__init__(task)
@@ -68,8 +68,8 @@ class SolvedGan(Method[GanConfig]):
         self.solvers = [self._solver(task, task.config.budget and min(task.config.budget, longest))]
         self.answer: tuple[SVBRDF, Views] | None = None  # of all photos
         self.game: DetailTraining | None = None
-        self.kept: dict[str, Tensor] = {}  # the change that helped most, of the maps it helped
-        self.gain = 0.0  # of squared errors of the patches
+        self.kept: dict[str, Tensor] = {}  # the best change so far, of the maps it improved
+        self.gain = 0.0  # by which it reduced the patches' squared error
 
     def _solver(self, task: FitTask[GanConfig], budget: float | None = None) -> Method:
         config = HierarchicalConfig(budget=budget, **{name: getattr(self.config, name) for name in SHARED})
@@ -92,7 +92,7 @@ class SolvedGan(Method[GanConfig]):
         return losses
 
     def _share(self, progress: float) -> float:
-        """The share that is over of the present solver's time; 0 where steps limit the run."""
+        """The used share of the present solver's time; 0 if iterations limit the run."""
         if self.config.iterations or not self.config.budget:
             return 0.0
         if self.stage:
@@ -110,14 +110,14 @@ class SolvedGan(Method[GanConfig]):
             if self.stage == 1:
                 self.solvers.append(self._solver(self.without))
         elif not solver.done:
-            self.stage = ENDED  # an answer that is not settled would gain by any change
+            self.stage = ENDED  # any change would improve an unsettled answer
         else:
             assert isinstance(solver, Hierarchical)  # there are several photos
             spread = deviations(*answer, solver.task, solver.scales.basis)[0]
             self._begin_game(Bounded.of(*answer, spread, DetailConfig.reach, DetailConfig.certain))
 
     def _see_as_solved(self) -> None:
-        """Let photos have the response curve that the first solver found."""
+        """Use the photos with the response curve that the first solver found."""
         self.capture = self.solvers[0].capture
         self.without = replace(self.without, capture=self.without.capture.but(transfer=self.capture.transfer))
 
@@ -127,7 +127,7 @@ class SolvedGan(Method[GanConfig]):
                                    DetailConfig(seed=self.config.seed))
 
     def _judge(self) -> None:
-        """Keep the present change of those maps with which the patches are predicted better."""
+        """Keep the present change of the fewest maps that improve the prediction of the patches enough."""
         assert self.game
         solved = self.game.bounded
         with torch.no_grad():
@@ -151,14 +151,14 @@ class SolvedGan(Method[GanConfig]):
             self.gain, self.kept = gain, kept
 
     def _seen(self, kept: dict[str, Tensor]) -> float:
-        """Re-rendering error of all photos by their answer with the change ``kept``."""
+        """Re-rendering error of all photos, by the first answer plus the change ``kept``."""
         assert self.answer and self.game
         svbrdf, views = self.answer
         changed = Bounded(svbrdf, views, self.game.bounded.bounds).moved(kept) if kept else svbrdf
         return rerender_errors(self.renderer, changed, views, self.capture)[0]
 
     def _errors(self, svbrdf: SVBRDF, views: Views) -> Tensor:
-        """Mean squared error of the display values of each patch, in the photo that is held out there."""
+        """Mean squared error, in display values, of each patch in the photo that is held out there."""
         with torch.no_grad():
             images = self.renderer.render(svbrdf, views)
         error = (to_display(images, self.capture.transfer) - self.capture.photos) * self.spared[..., None]
@@ -166,7 +166,7 @@ class SolvedGan(Method[GanConfig]):
         return F.adaptive_avg_pool2d(square[None, None].float(), min(BLOCKS, len(square))).flatten()
 
     def estimate(self) -> tuple[SVBRDF, Views]:
-        """The solved maps, with the change of those maps that the game helped."""
+        """The solved maps, with the change of the maps that the game improved."""
         if self.answer is None:
             self.solvers[0].ended = self.ended
             return self.solvers[0].estimate()
@@ -176,17 +176,17 @@ class SolvedGan(Method[GanConfig]):
         return Bounded(svbrdf, views, self.game.bounded.bounds).moved(self.kept).map(Tensor.contiguous), views
 
     def preview(self) -> SVBRDF | None:
-        """The present answer of the solver; in the game, the latest measurement."""
+        """The present maps of the first solver; None after it has ended."""
         return self.solvers[0].preview() if self.answer is None else None
 
     @property
     def done(self) -> bool:
-        """Whether no game is played."""
+        """Whether the run has ended without a game."""
         return self.stage == ENDED
 
     @property
     def cut_short(self) -> bool:
-        """Whether the answer of all photos has not settled."""
+        """Whether the answer from all photos has not settled."""
         return self.stage > 0 and not self.solvers[0].done or self.solvers[0].cut_short
 
     def cut_step(self) -> None:
@@ -196,7 +196,7 @@ class SolvedGan(Method[GanConfig]):
 
     @property
     def omitted(self) -> list[Omitted]:
-        """What the solver omitted, and the maps that the game did not help."""
+        """What the first solver omitted, and the maps that the game did not improve."""
         if self.game:
             why = ("it predicts held-out photos no better, or all photos worse" if self.steps >= BEAT else
                    "the run ended before it was judged") + ": the map stays as solved"
@@ -213,7 +213,7 @@ class SolvedGan(Method[GanConfig]):
         return self.solvers[0].views_deviation
 
     def state(self) -> dict[str, Tensor]:
-        """Where it stands, its solvers, the answers, and the game."""
+        """Stage and counters, the solvers, the answers, and the game."""
         parts: dict[str, Part] = {f"solver{k}": solver.state() for k, solver in enumerate(self.solvers)}
         parts["at"] = torch.tensor([self.stage, self.steps, self.began, self.gain], dtype=torch.float64)
         if self.answer:
@@ -253,9 +253,9 @@ def _tensors(svbrdf: SVBRDF, views: Views) -> dict[str, Tensor]:
 
 
 def spared(capture: Capture, seed: int) -> Tensor:
-    """Which pixels are held out, N x R x R: of each of :data:`BLOCKS` x BLOCKS patches those of one photo.
+    """A mask of held-out pixels, N x R x R: in each of :data:`BLOCKS` x BLOCKS patches, those of one photo.
 
-    Each photo is held out in as many patches as the others, at places that the seed decides.
+    The numbers of patches of two photos differ by one at most. The seed decides the places.
     """
     side, random = min(BLOCKS, capture.resolution), torch.Generator().manual_seed(seed)
     order = torch.randperm(side * side, generator=random) % len(capture)
@@ -266,7 +266,7 @@ def spared(capture: Capture, seed: int) -> Tensor:
 
 
 def held_out(capture: Capture, pixels: Tensor) -> Capture:
-    """The photos without these pixels, N x R x R, which are filled from the other photos."""
+    """The capture with these pixels (N x R x R) masked, and filled from the other photos."""
     measured = ~pixels if capture.measured is None else ~pixels & capture.measured
     shown = torch.where(measured[..., None], capture.photos, torch.nan)
     return replace(capture, photos=filled(list(shown.numpy()), warn=False)[0], measured=measured)

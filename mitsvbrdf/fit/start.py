@@ -17,8 +17,8 @@ def robust_start(capture: Capture, guess: Tensor, bsdf: Bsdf, fixed: Mapping[str
     """The start of a fit: the guess (R x R x 3, linear), one specular level and one roughness for all texels.
 
     This lobe explains best what the guess leaves unexplained in the photos, at 64 px at most. For each
-    roughness of a short grid, the level is the least-squares one over unclipped pixels of all photos. Fixed
-    maps, R x R x C, are in the result, and the search keeps to them.
+    roughness of a short grid, the level is the least-squares one over unclipped pixels of all photos. The
+    search uses the fixed maps, R x R x C, and the result contains them.
     """
     fixed = fixed or {}
     level, roughness = _lobe(capture, guess, fixed)

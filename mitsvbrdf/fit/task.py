@@ -1,4 +1,4 @@
-"""What a fit is given and may find, decided once for all methods: guess, fixed maps, free views."""
+"""The input of a fit, prepared once for all methods: guess, fixed maps, and which views may change."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -31,20 +31,20 @@ class FitTask(Generic[Config]):
     """A capture to fit with a method's settings. Values derived from the two are computed on first use."""
 
     capture: Capture  # photos and views
-    renderer: Renderer  # carries the gradients and draws the comparison
+    renderer: Renderer  # of the images compared with photos; gives gradients
     config: Config  # which method, and its settings
-    own_guess: Tensor | None = None  # guessed diffuse map, R x R x 3 linear; None makes it of the photos
-    estimated: EstimatedViews | None = None  # from the photos; None if the views are stated or a default
+    own_guess: Tensor | None = None  # guessed diffuse map, R x R x 3 linear; None: from the photos
+    estimated: EstimatedViews | None = None  # from the photos; None: the views are stated or a default
     light_doubted: bool = False  # whether photos contradict the stated light power
 
     @cached_property
     def fixed(self) -> Mapping[str, Tensor]:
-        """The maps that are not fitted, by name, R x R x C."""
+        """The maps that are not fitted: name to R x R x C."""
         return fixed_maps(self.config.fix, self.config.bsdf, self.capture.resolution)
 
     @cached_property
     def guess(self) -> Tensor:
-        """The guessed diffuse map, R x R x 3 linear; or the diffuse map itself where it is fixed."""
+        """The guessed diffuse map, R x R x 3 linear; or the diffuse map itself if it is fixed."""
         if self.own_guess is not None:
             return self.own_guess
         return (self.fixed["diffuse"].contiguous() if "diffuse" in self.fixed
@@ -56,15 +56,15 @@ class FitTask(Generic[Config]):
 
     @cached_property
     def unused(self) -> dict[str, str]:
-        """The method's losses that are not computed, and why."""
+        """The method's losses that are not computed: name to reason."""
         return losses.unused(self.config.weights, self.config.bsdf, self.fixed)
 
     @cached_property
     def repeats(self) -> Repeats | None:
-        """Whether one photo shows a material that repeats itself; None where that is not asked.
+        """Whether one photo shows a material that repeats itself; None if this is not tested.
 
-        Only `hierarchical` asks, and `gan` that begins with it, and only where all maps of roughconductor are
-        fitted to one whole photo.
+        It is tested for `hierarchical` and `gan` from solved maps, if all maps of roughconductor are fitted
+        to one photo without a mask. ConfigError: --stationary in another case.
         """
         config, asked = self.config, None
         if isinstance(config, HierarchicalConfig):
@@ -91,7 +91,7 @@ class FitTask(Generic[Config]):
 
     @cached_property
     def why_no_flash_offset(self) -> str | None:
-        """Why the sideways distance between lens and flash is not fitted; None where it is."""
+        """Why the sideways distance between lens and flash is not fitted; None if it is fitted."""
         config = self.config
         if not config.wants_flash_offset:
             return "not asked for"
@@ -114,13 +114,13 @@ class FitTask(Generic[Config]):
 
     @property
     def light_power_unknown(self) -> bool:
-        """Whether the maps may tell the light power: it was estimated, or views come from features."""
+        """Whether to find the light power from the maps: it was estimated, or views come from features."""
         return (self.estimated is not None
                 or self.capture.calibration == "photos" and not self.config.holds_views)
 
 
 def fit_task(capture: Capture, renderer: Renderer, config: Config) -> FitTask[Config]:
-    """The task of a fit, with views estimated if the capture has none and the method moves them.
+    """The task of a fit. Views are estimated if the capture has none and the settings do not hold them.
 
     Masked pixels are replaced by the mean of the photos that show them, because networks do not see the mask.
     """

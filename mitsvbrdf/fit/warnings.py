@@ -23,14 +23,14 @@ GAIN = 1.25  # photos over re-rendering, or the other way round; 0.93 to 1.01
 USABLE = 0.1  # share of the pixels that must be neither dark nor clipped, to speak of a gain
 # diffuse albedo, and the share of texels that may have it; ten had 0, two 0.3 and more
 WHITE, WHITE_SHARE = 0.97, 0.1
-WHITENS = {"diffuse", "base_color"}  # where one of these maps is fixed, white tells nothing of the light
-FAINT = 0.015  # F0, median; eleven had 0.0156 and more, one 0.013. Water has 0.02, and nothing known less
-# Median F0 above a usual non-metal's, and the share of determined texels needed to believe it; of eighteen
-# fits to seven photos one had 0.31 with a fifth determined, the others 0.1 and less, or were determined.
+WHITENS = {"diffuse", "base_color"}  # if one of these maps is fixed, white texels do not depend on the light
+FAINT = 0.015  # F0, median; eleven had 0.0156 and more, one 0.013. Water has 0.02; no known material has less
+# A median F0 above STRONG, unusual for a non-metal, is believed if a share HARDLY of texels is determined. Of
+# eighteen fits to seven photos one had 0.31 (a fifth determined), the others 0.1 or less, or were determined.
 STRONG, HARDLY = 0.1, 0.5
 MORE_SHARE = 0.1  # of texels that reflect more than arrives; three of the eighteen had 0.28 to 0.55, others 0
 ASIDE = 0.05  # patch sides from the middle that count as beside it
-LOOKED_AT = 512  # px a side at which the photos themselves are checked
+LOOKED_AT = 512  # px a side at which photos are checked
 SAMPLED = 256  # px a side at which gains are checked
 COARSE = 64  # px at which photos are compared; the closest two of the eighteen are 4.6 / 255 apart
 UNSETTLED = "the fit ended before it had settled: give more seconds or iterations"
@@ -38,8 +38,8 @@ MIXED = ("single pixels of the photos follow the model, but their averages at {}
          "by more than their deviations: fit the photos at their full size (--resolution)")
 WORSE = 2.5  # times the median error of a photo; 1.1 to 2.3
 POOR = 0.1  # re-rendering RMSE
-BURNT_IN = 0.3  # share of a map that lies as the highlights do; ten had up to 0.18, two of wood 0.4 to 0.74
-OVALS = 0.2  # the same of single highlights; known materials under the views of six captures have up to 0.13
+BURNT_IN = 0.3  # share of a map's variance that follows highlights; ten had up to 0.18, two woods 0.4 to 0.74
+OVALS = 0.2  # the same for single highlights; known materials in the views of six captures have up to 0.13
 
 
 def fit_warnings(result: Fit, capture: Capture) -> Iterator[str]:
@@ -60,7 +60,7 @@ def fit_warnings(result: Fit, capture: Capture) -> Iterator[str]:
 
 
 def about_steps(undone: Sequence[dict]) -> Iterator[str]:
-    """The warning about steps taken back so far."""
+    """The warning about steps undone so far."""
     if undone:
         yield (f"{len(undone)} step{'s' if len(undone) > 1 else ''} undone; the first at iteration "
                f"{undone[0]['iteration']}: {undone[0]['reason']}")
@@ -119,7 +119,7 @@ def _light(result: Fit, capture: Capture, shown: Tensor) -> Iterator[str]:
 
 
 def _implausible(result: Fit, shown: Tensor) -> Iterator[str]:
-    """Maps that no usual material has, and what would tell more."""
+    """Warnings about maps that no usual material has, with advice."""
     material, fixed = result.svbrdf.as_roughconductor(), described(result.config.fix)
     spread = result.deviations.get("specular")
     if spread is not None and "specular" not in fixed:
@@ -141,7 +141,7 @@ def _implausible(result: Fit, shown: Tensor) -> Iterator[str]:
 
 
 def _place(mask: Tensor) -> str:
-    """Where the centre of a mask (R x R, row 0 at the top) lies on the patch, in words."""
+    """The place of a mask's centre on the patch, in words. Mask: R x R, row 0 at the top."""
     down, right = ((mask.nonzero().double().mean(dim=0) + 0.5) / len(mask) - 0.5).tolist()
     words = (["top" if down < 0 else "bottom"] * (abs(down) > ASIDE)
              + ["left" if right < 0 else "right"] * (abs(right) > ASIDE))
