@@ -102,7 +102,6 @@ class Batch:
         return limit if limit and now > self.began.get(name, now) + limit else None
 
     def _heard(self, name: str, event: dict) -> None:
-        """Process what a task yielded."""
         if name not in self.running:
             return
         if "state" not in event:

@@ -132,7 +132,6 @@ class RayTasks:
             return {"state": "crashed", "reason": "its worker died, by itself, by hand, or as memory ran out"}
 
     def _start(self, folder: Path) -> None:
-        """Start a Ray for this batch, or join a cluster."""
         address, here = self.settings.address, self.settings.address is None
         if here and "ray" in sys.modules and not ALONE.items() <= os.environ.items():
             raise BackendError("Ray not imported yet", "it imported before", "run `mitsvbrdf batch`")

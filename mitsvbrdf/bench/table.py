@@ -110,7 +110,6 @@ def _cell(found: pd.Series, best: float, seeds: int) -> str:
 
 
 def _absent(records: Iterable[Mapping[str, Any]], method: str, budget: float) -> str:
-    """The text of a cell without a figure: the reason."""
     here = [r for r in records if r["method"] == method and r["budget"] == budget]
     failed = sorted({r["name"] for r in here if r["stopped"] == "failed"})
     return f"fails on {', '.join(failed)}" if failed else "incomplete" if here else "not run"

@@ -78,12 +78,12 @@ def from_json(path: Path, falloff: Falloff, resolution: int | None) -> Capture:
     index = stated.get("idx")
     if uncalibrated:
         stated = stated | _assumed(stated, path, len(photos))
-    stated = {"transfer": "gamma2.2", "calibration": "given"} | stated  # other tools do not state these
+    stated = {"transfer": None, "calibration": "given"} | stated  # other tools do not state these
     if stated["calibration"] not in (known := get_args(Calibration)):
         raise CaptureError(f"a calibration of {known}", f"{stated['calibration']!r} in {path}",
                            "choose one of these")
     try:
-        color.parts(stated["transfer"])
+        color.parts("srgb" if stated["transfer"] is None else stated["transfer"])
     except ConfigError as error:
         raise CaptureError(error.expected, f"{error.got} in {path}", error.fix) from None
     size = _stated(stated["im_size"], NUMBER, f"im_size in {path}")
@@ -139,15 +139,15 @@ def from_text(folder: Path, falloff: Falloff, resolution: int | None) -> Capture
     power = _table(folder / "light_power.txt")
     views = _views(camera, light, power[0][0] if power == [power[0][:1]] else power, sizes[0], falloff,
                    str(folder))
-    return _calibrated(list(photos.values()), views, "gamma2.2", list(photos), folder, resolution)
+    return _calibrated(list(photos.values()), views, None, list(photos), folder, resolution)
 
 
-def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index: list[int], source: Path,
-                resolution: int | None, calibration: Calibration = "given",
+def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer | None, index: list[int],
+                source: Path, resolution: int | None, calibration: Calibration = "given",
                 told: dict[str, Converted] | None = None) -> Capture:
     """The capture of these photos. Each is decoded, and shrunk or kept as stored, before the next one.
 
-    ``told``: the conversions to sRGB stated in the calibration file.
+    ``transfer``: None if the calibration states none. ``told``: the conversions to sRGB that it states.
     """
     headers = [header(path, CaptureError) for path in paths]
     side = _common_side(paths, [each.size for each in headers], source)
@@ -178,8 +178,9 @@ def _calibrated(paths: list[Path], views: Views, transfer: color.Transfer, index
     pictures, measured = (torch.from_numpy(photos), None) if whole else filled(list(photos))
     colours = {**(told or {}),
                **converted({path.name: about.profile for path, about in zip(paths, headers)}, outside)}
-    capture = Capture(pictures, views, transfer, tuple(index), calibration, source, tuple(notes_of(colours)),
-                      colours, measured, carried(middles, side, kept) if middles else None,
+    capture = Capture(pictures, views, transfer or ("srgb" if colours else "gamma2.2"), tuple(index),
+                      calibration, source, tuple(notes_of(colours)), colours, measured,
+                      carried(middles, side, kept) if middles else None,
                       torch.from_numpy(np.stack(single)) if single else None)
     return laid_alike(capture, Capture(torch.from_numpy(np.stack(larger)), views)) if larger else capture
 

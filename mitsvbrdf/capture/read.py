@@ -54,7 +54,8 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
             calibrated photos as they are, plain ones at most 1024, or 2048 if their views are not found.
         index: numbers of the photos to use; None: all.
         transfer: how display values encode radiance; None: what the capture states, else ``gamma2.2`` for
-            calibrated captures (usual in the field), ``srgb`` for plain photos, and ``linear`` for RAW files.
+            calibrated captures without a colour profile (usual in the field), ``linear`` for RAW files, and
+            ``srgb`` for all others.
         falloff: see :class:`~mitsvbrdf.views.Views`.
         report: called with the current step and the share done, but only for plain photos, which take long.
 

@@ -151,7 +151,6 @@ def _split(tags: Sequence[str]) -> tuple[str, ...]:
 
 
 def _say_stock(stock: Stock, results: ResultStore) -> None:
-    """Print the notes, the number of captures to fit, and the numbers of those done or failed before."""
     for note in stock.notes:
         say(note)
     known = [f"{count} {what}" for count, what in (

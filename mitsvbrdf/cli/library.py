@@ -65,7 +65,6 @@ def _print(chosen: Sequence[dict]) -> None:
 
 
 def _called(row: dict) -> str:
-    """The folder without its parents: the name of the material and the start of its hash."""
     return row["folder"].rpartition("/")[2]
 
 

@@ -11,13 +11,12 @@ from ..calibrate.estimate import self_calibrated, why_not
 from ..calibrate.readings import Reading
 from ..capture import Capture, read_capture
 from ..errors import CaptureError
-from ..fit.result import Fit
-from ..io import images
+from ..fit.result import Fit, Glance
 from ..views import Falloff, Views, nine_view_grid, shift_lights
 
-# Photos averaged to 4 x 4 look alike if their median difference is less. In real captures a photo at 37 px
-# differs from itself at 256 px by 0.008 at most; photos of another capture differ, at least one by 0.07 or
-# more. The median, because a mask changes less than half of the values.
+# Photos of two sizes, averaged to 4 x 4, look alike if their median difference is less. In real captures
+# a photo at 37 px differs from itself at 256 px by 0.008 at most; photos of another capture differ, at least
+# one by 0.07 or more. The median, because a mask changes less than half of the values.
 SAME = 0.02
 STEP = 1 / 255  # largest difference of equal photos of one size; the folder of a fit keeps 8 bits
 
@@ -25,20 +24,19 @@ STEP = 1 / 255  # largest difference of equal photos of one size; the folder of 
 def is_of(fit: Fit, capture: Capture) -> bool:
     """Whether the fit was made from photos of this capture.
 
-    Photos with the same number must look alike, if the fit keeps them. If the names of the folders differ,
-    these photos must be equal.
+    Photos with the same number must be equal where they are measured, if the fit keeps them. If their sizes
+    differ, they must look alike, and the folders must have the same name.
     """
-    kept = fit.small_photos
-    both = [(photo.numpy(), k) for k, photo in zip(capture.index, capture.stored) if k in kept]
-    if any(np.median(np.abs(images.averaged(photo, 4) - kept[k])) >= SAME for photo, k in both):
-        return False
-    if (fit.capture or "") == capture.name:
-        return bool(fit.capture or kept)
-    return bool(both) and all(_equal(photo, fit.photo(k).numpy()) for photo, k in both)
-
-
-def _equal(photo: np.ndarray, kept: np.ndarray) -> bool:
-    return photo.shape == kept.shape and np.abs(images.display(photo) - images.display(kept)).max() <= STEP
+    kept, named = fit.small_photos, (fit.capture or "") == capture.name
+    both = [row for row, number in enumerate(capture.index) if number in kept]
+    for row in both:
+        here = Glance.of(capture.stored[row], None if capture.measured is None else capture.measured[row])
+        there = kept[capture.index[row]]
+        if here.side == there.side and (np.abs(here.pixels - there.pixels) > STEP).any():  # not of NaN
+            return False
+        if here.side != there.side and not (named and np.median(np.abs(here.means - there.means)) < SAME):
+            return False
+    return bool(both) or named and bool(fit.capture or kept)
 
 
 def placed(capture: Capture, fit: Fit, transfer: color.Transfer | None = None) -> Capture:

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 import torch
@@ -30,6 +30,22 @@ from .record import FILE, SCHEMA_VERSION, Fact, checked, missing, record_in
 # fields that :meth:`Fit.but` changes in the record, too
 _FACTS = "rerender_rmse", "calibrated_rmse", "renderer", "variant", "warnings", "stopped", "trace"
 ALIKE = "with-look-alikes"  # folder of deviations that use look-alikes
+
+
+class Glance(NamedTuple):
+    """What tells a photo from others."""
+
+    side: int  # its pixels a side
+    pixels: np.ndarray  # every k-th of them, P x P x 3 display values, P < 128; NaN if not measured
+    means: np.ndarray  # the photo averaged to 4 x 4 x 3
+
+    @staticmethod
+    def of(photo: Tensor, measured: Tensor | None = None) -> Glance:
+        """Of a photo as stored, R x R x 3, and its mask, R x R."""
+        few = np.s_[::max(1, len(photo) // 64), ::max(1, len(photo) // 64)]
+        told = True if measured is None else measured[few][..., None].numpy()
+        return Glance(len(photo), np.where(told, images.display(photo[few].numpy()), np.nan),
+                      images.averaged(photo.numpy(), 4))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -242,12 +258,12 @@ class Fit:
         return self.views.size / 100 if self.calibration.get("from") == "sheet" else None
 
     @cached_property
-    def small_photos(self) -> dict[int, np.ndarray]:
-        """A dict: number to photo, averaged to 4 x 4 x 3. Photos used; from a folder also predicted ones."""
+    def small_photos(self) -> dict[int, Glance]:
+        """A dict: number to what tells a photo. Photos used; from a folder also predicted ones."""
         stems = [path.stem for path in (self.path / "photos").glob("*.png")] if self.record else ()
         numbers = self.seen if "shots" in self.known else [int(stem) for stem in stems if stem.isdecimal()
                                                            and stem == f"{int(stem):02d}"]
-        return {number: images.averaged(self.photo(number).numpy(), 4) for number in numbers}
+        return {number: Glance.of(self.photo(number)) for number in numbers}
 
     def photo(self, number: int) -> Tensor:
         """The photo with this number, R x R x 3, as it is stored."""

@@ -91,7 +91,6 @@ def _write_renderings(result: Fit, capture: Capture, out: Path) -> Tensor:
 
 
 def _write_pages(result: Fit, written: Fit, capture: Capture, out: Path, held_out: Capture | None) -> None:
-    """Write pictures, re-renderings, page, and the scene for Mitsuba."""
     images.write_all(linear_writes(out / "guess/diffuse", result.guess, "srgb"))
     small = _write_renderings(result, capture, out)
     title = f"{material_name(result)}: {result.method}, {result.svbrdf.bsdf}"

@@ -30,7 +30,10 @@ def test_what_was_converted_is_told_once_and_kept(tmp_path):
     capture = read_capture(tmp_path / "a")
     assert capture.photos.numpy() == pytest.approx(np.stack([SHOWN] * 3), abs=0.2 / 255)
     (note,) = capture.notes
-    assert "3 photos" in note and "0.00%" in note
+    assert "3 photos" in note and "0.00%" in note and capture.transfer == "srgb"  # none is stated
+    text_capture(tmp_path / "c", images=np.zeros((3, 16, 16, 3), np.uint8))
+    save_in(tmp_path / "c/00.png", SHOWN, "Display P3", 16)
+    assert read_capture(tmp_path / "c").transfer == "srgb"
     write_capture(capture, tmp_path / "b")
     (found,) = json.loads((tmp_path / "b" / "capture.json").read_text())["colours"].values()
     assert found == {"photos": 3, "outside": 0.0}

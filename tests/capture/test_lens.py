@@ -1,12 +1,13 @@
 """A phone's lens and poses against OpenCV, and rectified photos against what they must show."""
 
 import json
+import math
 
 import cv2
 import numpy as np
 import pytest
 
-from mitsvbrdf.capture.lens import Lens, Pose, on_plane, project, rays
+from mitsvbrdf.capture.lens import Lens, Pose, field_of_view, on_plane, project, rays
 from mitsvbrdf.capture.rectify import rectified
 from mitsvbrdf.capture.rig import Rig, rig_to_json
 from mitsvbrdf.views import texel_positions
@@ -29,6 +30,13 @@ def test_pixels_are_opencvs(lens, pose):
                                np.array([*lens.distortion, 0.0, 0.0]))[0][:, 0]
     # Both in float64; the way through a rotation vector costs some digits. 1e-13 was seen.
     np.testing.assert_allclose(project(lens, pose, points()), theirs, atol=1e-9)
+
+
+@pytest.mark.parametrize("crop", [(3000, 3000), (4000, 2250), (2250, 4000)])
+def test_a_phones_crop_has_the_focal_length_of_the_whole_photo(crop):
+    whole, found = (max(size) / 2 / math.tan(math.radians(field_of_view(26, *size)) / 2)
+                    for size in ((4000, 3000), crop))
+    assert found == pytest.approx(whole, rel=1e-12)
 
 
 @pytest.mark.parametrize("lens", LENSES)

@@ -130,7 +130,6 @@ def _too_few(edges: Edges, sheet: Sheet) -> str | None:
 
 
 def _first_pose(lens: Lens, edges: Edges, sheet: Sheet, depth: float) -> Pose:
-    """A pose from the corners of the tags."""
     points = np.concatenate([sheet.corners[number] for number in edges.corners])
     bends = np.array([*lens.distortion, 0.0, 0.0, 0.0])  # k1, k2, p1, p2, k3
     _, turns, shifts, errors = cv2.solvePnPGeneric(points, np.concatenate(list(edges.corners.values())),

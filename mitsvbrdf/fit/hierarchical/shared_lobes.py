@@ -80,7 +80,6 @@ class SharedLobes:
         return self.at(lobes, self.prior, self.relief, scale, self.prior.lobes[2])
 
     def _at_mean(self, answer: TexelEstimate) -> TexelEstimate:
-        """Texels whose shared numbers are the means of their lobes."""
         mean = self.prior.lobes[0][:, answer.lobe.long()]
         return answer._replace(x=answer.x.index_copy(0, self.prior.shared, mean))
 
