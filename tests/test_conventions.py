@@ -18,6 +18,7 @@ from mitsvbrdf.errors import CaptureError, MapsError
 from mitsvbrdf.material.map_files import load_maps, save_maps
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.material.maps import flat as flat_of
+from mitsvbrdf.material.resample import averaged_rows
 from mitsvbrdf.views import Views, texel_positions
 
 flat = functools.partial(flat_of, dtype=torch.float64)
@@ -157,6 +158,10 @@ def test_photos_shrink_by_area(tmp_path):
     write_capture(Capture(checker, Views.of([[0, 0, 2.0]])), tmp_path)
     small = read_capture(tmp_path, resolution=8)
     assert torch.allclose(small.photos, torch.full((1, 8, 8, 3), 0.25), atol=1e-6)
+    whole, by_opencv = read_capture(tmp_path), read_capture(tmp_path, resolution=12).photos
+    assert torch.allclose(whole.averaged(12).photos, by_opencv, atol=1e-6)
+    rows = averaged_rows(lambda part: whole.photos[:, part], 16, 12)
+    assert torch.allclose(rows, by_opencv, atol=1e-6)
 
 
 def test_closed_form():

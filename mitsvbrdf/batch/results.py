@@ -206,7 +206,6 @@ class ResultStore:
     # ---- records ----
 
     def _read(self, name: str, folder: str, state: str) -> Material | None:
-        """The record of a folder; None if it is missing or invalid."""
         try:
             record = msgspec.convert(parsed(self.store.read(name)) | {"state": state}, Material)
             json.dumps(msgspec.to_builtins(record), ensure_ascii=False).encode()  # no lone surrogates

@@ -84,7 +84,6 @@ class Batch:
             self.trouble = self.trouble or str(reason)
 
     def _hand_out(self, tasks: RayTasks) -> None:
-        """Give work to every idle worker."""
         while self.waiting and not self.trouble and len(self.running) < tasks.slots:
             material = self.waiting.popleft()
             material = material.but(attempts=material.attempts + 1)
@@ -122,7 +121,6 @@ class Batch:
         self._ended(material, event)
 
     def _check_node(self, about: dict) -> None:
-        """Raise BackendError for a node that cannot take part."""
         if about["version"] != __version__:
             raise BackendError(f"mitsvbrdf {__version__} on all nodes",
                                f"{about['version']} on {about['host']}", "install the same version there")

@@ -188,7 +188,6 @@ class RayTasks:
             raise
 
     def _look(self) -> None:
-        """Query the nodes of a cluster, again and again."""
         import ray
 
         with contextlib.suppress(Exception):  # disconnected
@@ -197,7 +196,6 @@ class RayTasks:
                 time.sleep(LOOK_SECONDS)
 
     def _check(self) -> None:
-        """Raise BackendError if Ray is gone: no result would come back."""
         if any(map(_has_ended, self._servers)):
             raise BackendError("Ray to run as long as the batch", "the end of one of its processes", GONE)
         if self.settings.address is not None and time.monotonic() > self._heard + SILENT_SECONDS:

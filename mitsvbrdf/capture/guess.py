@@ -156,7 +156,6 @@ def _slopes(texels: Tensor, errors: Tensor, known: Tensor, display: Tensor, most
 
 
 def _display(albedo: Tensor) -> Tensor:
-    """The approximate display value of an apparent albedo."""
     return (albedo + BLACK) ** DISPLAY
 
 

@@ -63,10 +63,7 @@ class Lens:
 
 
 def field_of_view(focal_35mm: float, width: int, height: int) -> float:
-    """Degrees across the long side, from the 35 mm equivalent focal length (for a diagonal of 43.27 mm).
-
-    A photo that is neither 4:3 nor 3:2, nor between them, is taken for a crop of 4:3, as phones make it.
-    """
+    """Degrees across the long side. A photo beyond 4:3 to 3:2 is taken for a crop of 4:3, as phones do it."""
     short, long = sorted((width, height))
     cropped = not 1.3 < long / short < 1.53
     diagonal = max(short * 5 / 3, long * 5 / 4) if cropped else math.hypot(short, long)

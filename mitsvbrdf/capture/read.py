@@ -53,9 +53,8 @@ def read_capture(folder: str | Path, resolution: int | None = None, index: Seque
         resolution: pixels a side to shrink to, by area averages of display values; never enlarged. None:
             calibrated photos as they are, plain ones at most 1024, or 2048 if their views are not found.
         index: numbers of the photos to use; None: all.
-        transfer: how display values encode radiance; None: what the capture states, else ``gamma2.2`` for
-            calibrated captures without a colour profile (usual in the field), ``linear`` for RAW files, and
-            ``srgb`` for all others.
+        transfer: how display values encode radiance; None: as the capture states, else ``gamma2.2`` if it
+            is calibrated and has no colour profile, ``linear`` for RAW files, and ``srgb`` for others.
         falloff: see :class:`~mitsvbrdf.views.Views`.
         report: called with the current step and the share done, but only for plain photos, which take long.
 
@@ -140,16 +139,18 @@ def write_capture(capture: Capture, folder: str | Path, keys: dict | None = None
         OutputError: the folder cannot be written to.
     """
     folder, views = Path(folder), capture.views
+    bits = 16 if color.parts(capture.transfer)[0] == "linear" else 8
     for i in range(len(capture)):
         photo = capture.photo(i)
         if capture.measured is not None:
             photo = torch.cat((photo, capture.measured[i, ..., None]), dim=-1)
-        write_png(folder / "target" / f"{i:02d}.png", photo, 16 if capture.transfer == "linear" else 8)
+        write_png(folder / "target" / f"{i:02d}.png", photo, bits)
     power = views.intensity.tolist()
     stated = {"camera_pos": views.camera.tolist(), "light_pos": views.light.tolist(),
               "light_pow": power[0] if all(row == power[0] for row in power) else power}
-    if not capture.calibrated and torch.allclose(views.in_patch_sides().camera.double(),
-                                                 default_views(len(capture)).camera):
+    here, usual = views.in_patch_sides().to(torch.float64), default_views(len(capture))
+    if not capture.calibrated and all(torch.allclose(getattr(here, part), getattr(usual, part))
+                                      for part in ("camera", "light", "intensity")):
         stated = {}  # the default geometry: read_capture assumes it if these keys are missing
     files.write_json(folder / "capture.json",
                      {"target_dir": "target", "im_size": views.size, "idx": list(range(len(capture))),

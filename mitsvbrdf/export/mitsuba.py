@@ -82,7 +82,6 @@ def _slots(svbrdf: SVBRDF, rows: slice) -> dict[str, torch.Tensor]:
 
 
 def _material(bsdf: Bsdf, repeats: bool) -> dict:
-    """Plugin dictionary with the textures ``scene/SLOT.exr``."""
     def texture(slot: str) -> dict:
         return {"type": "bitmap", "filename": f"scene/{slot}.exr", "raw": True, "filter_type": "nearest",
                 "wrap_mode": "repeat" if repeats else "clamp"}

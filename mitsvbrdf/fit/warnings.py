@@ -119,7 +119,6 @@ def _light(result: Fit, capture: Capture, shown: Tensor) -> Iterator[str]:
 
 
 def _implausible(result: Fit, shown: Tensor) -> Iterator[str]:
-    """Warnings about maps that no usual material has, with advice."""
     material, fixed = result.svbrdf.as_roughconductor(), described(result.config.fix)
     spread = result.deviations.get("specular")
     if spread is not None and "specular" not in fixed:

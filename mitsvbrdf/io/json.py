@@ -38,7 +38,7 @@ def parsed(text: str | bytes, kind: type | tuple[type, ...] = dict) -> Any:
         return value
 
     def whole(digits: str) -> int | float:
-        return int(digits) if len(digits) < 20 and abs(int(digits)) < LARGEST else number("inf")
+        return int(digits) if len(digits) <= 20 and abs(int(digits)) < LARGEST else number("inf")
 
     try:
         value = json.loads(text.decode("utf-8-sig") if isinstance(text, bytes) else text, parse_float=number,

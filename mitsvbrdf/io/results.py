@@ -118,7 +118,6 @@ def _check_free(out: Path, overwrite: bool, resume: bool, keep: tuple[str, ...],
 
 
 def _check_ours(out: Path) -> None:
-    """Raise OutputError if a folder contains files that are not ours."""
     if others := files_of_others(out):
         raise OutputError("a folder with nothing but results of mitsvbrdf to replace",
                           f"{out} with {', '.join(others[:5])}{' ...' * (len(others) > 5)}",

@@ -13,20 +13,28 @@ def resized(images: Tensor, side: int, rows: int | None = None) -> Tensor:
 
     ``rows``: rows of the result, if the images are not square.
     """
-    how = {"mode": "area"} if side <= images.shape[-2] else {"mode": "bilinear", "align_corners": False}
-    return _interpolated(images, (rows or side, side), **how)
+    return (_averaged(images, rows or side, side) if side <= images.shape[-2]
+            else _interpolated(images, (rows or side, side), mode="bilinear", align_corners=False))
 
 
 def area_averaged(images: Tensor, side: int) -> Tensor:
     """Images (R x R x C, or N of them) area-averaged to ``side`` pixels a side; contiguous."""
-    same = images.shape[-2] == side
-    return images if same else _interpolated(images, (side, side), mode="area").contiguous()
+    return images if images.shape[-2] == side else _averaged(images, side, side).contiguous()
 
 
 def averaged_rows(part: Callable[[slice], Tensor], count: int, height: int, width: int = 0) -> Tensor:
     """Images of ``count`` rows, area-averaged to height x width (default: square); ``part`` returns rows."""
-    rows = (slice(k * count // height, -((k + 1) * -count // height)) for k in range(height))
-    return torch.cat([_interpolated(part(each), (1, width or height), mode="area") for each in rows], dim=-3)
+    found, across, width = list[Tensor](), torch.empty(0), width or height
+    for k, down in enumerate(_shares(count, height)):
+        rows = slice(k * count // height, -((k + 1) * -count // height))
+        images = part(rows)
+        if count % height == 0 == images.shape[-2] % width:
+            found.append(_interpolated(images, (1, width), mode="area"))
+            continue
+        across = across if k else _shares(images.shape[-2], width).T.to(images)
+        weighted = down[None, rows].to(images) @ images.movedim(-1, -3) @ across
+        found.append(weighted.movedim(-3, -1))
+    return torch.cat(found, dim=-3)
 
 
 def enlarged_rows(images: Tensor, side: int, rows: slice) -> Tensor:
@@ -48,6 +56,19 @@ def sampled(planes: Tensor, side: int) -> Tensor:
     """Every k-th row and column of planes (... x R x R), k = R // ``side``, at least 1; a copy."""
     step = max(1, planes.shape[-1] // side)
     return planes[..., step // 2::step, step // 2::step].clone(memory_format=torch.contiguous_format)
+
+
+def _averaged(images: Tensor, height: int, width: int) -> Tensor:
+    if images.shape[-3] % height == 0 == images.shape[-2] % width:
+        return _interpolated(images, (height, width), mode="area")
+    return averaged_rows(lambda rows: images[..., rows, :, :], images.shape[-3], height, width)
+
+
+def _shares(count: int, size: int) -> Tensor:
+    """The share of each of ``count`` pixels of a row in each of its ``size`` area averages, size x count."""
+    window, pixel = torch.arange(size)[:, None], torch.arange(count)
+    end = torch.minimum((window + 1) * count, (pixel + 1) * size)
+    return (end - torch.maximum(window * count, pixel * size)).clamp_min(0).double() / count
 
 
 def _interpolated(images: Tensor, size: tuple[int, int], **how: Any) -> Tensor:

@@ -63,7 +63,6 @@ def seam(svbrdf: SVBRDF) -> float:
 
 
 def _enlarged(svbrdf: SVBRDF, size: int) -> SVBRDF:
-    """Enlarge a seamless material: bilinear, also across the edges."""
     at = (torch.arange(size, dtype=torch.float64) + 0.5) * svbrdf.resolution / size - 0.5
     low, share = at.floor().long(), (at - at.floor())[:, None, None]
     maps = {}

@@ -71,7 +71,6 @@ def make_environment(mi: ModuleType, name: str) -> Environment:
 
 
 def _about_z(vector: tuple[float, ...], angle: float) -> tuple[float, ...]:
-    """A vector turned about the z axis, in degrees."""
     cos, sin = math.cos(math.radians(angle)), math.sin(math.radians(angle))
     x, y, z = vector
     return cos * x - sin * y, sin * x + cos * y, z

@@ -114,7 +114,6 @@ def named_version(path: str) -> int:
 
 
 def _folders() -> list[str]:
-    """Glob patterns of the folders that usually contain libLLVM."""
     prefixes = {sys.prefix, os.environ.get("CONDA_PREFIX", sys.prefix)}
     return [*filter(None, os.environ.get("LD_LIBRARY_PATH", "").split(os.pathsep)),
             *(f"{prefix}/{lib}" for prefix in sorted(prefixes) for lib in ("lib", "Library/bin")),

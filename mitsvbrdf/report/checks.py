@@ -55,7 +55,6 @@ def _available(name: str, beside: Renderer | None) -> list[Renderer]:
 
 
 def _figures(record: dict, timed: bool) -> dict:
-    """The part of a cross-check of one material that a page shows."""
     (about,), rows = record["materials"].values(), []
     for found in record["configurations"]:
         for texels in ("rough", "smooth"):

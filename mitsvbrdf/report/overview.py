@@ -95,5 +95,4 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
 
 
 def _side(count: int, largest: int) -> int:
-    """Side of each of ``count`` squares in one row."""
     return min((WIDTH - 2 * MARGIN - (count - 1) * GAP) // count, largest)

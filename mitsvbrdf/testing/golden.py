@@ -124,7 +124,6 @@ def _shapes(layers: Layers) -> str:
 
 
 def _shown(layer: str, value: Tensor) -> Tensor:
-    """A layer as display values H x W x 3."""
     shown = shown_map(layer, value) if layer in TITLES else color.to_display(value)
     return shown.expand(*value.shape[:2], 3)
 

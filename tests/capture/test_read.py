@@ -1,6 +1,7 @@
 """Reading and writing captures: the three formats, and a clear error for each mistake."""
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -128,6 +129,9 @@ def test_round_trip(tmp_path):
     assert torch.equal(back.photos, shots) and same_views(back.views, views)
     assert back.index == (0, 1, 2) and back.calibrated and back.transfer == capture.transfer
     assert len(json.loads((tmp_path / "out" / "capture.json").read_text())["light_pow"]) == 3
+    dark = capture.but(photos=shots / 100, transfer=f"linear{capture.transfer[4:]}")
+    write_capture(dark, tmp_path / "dark")
+    assert (read_capture(tmp_path / "dark").photos - shots / 100).abs().max() < 1 / 65535
 
 
 def test_round_trip_of_equal_lights_and_of_the_default_geometry(tmp_path):
@@ -138,6 +142,9 @@ def test_round_trip_of_equal_lights_and_of_the_default_geometry(tmp_path):
     write_capture(plain.but(views=plain.views.to(torch.float32)), tmp_path / "d")
     back = read_capture(tmp_path / "d")
     assert not back.calibrated and same_views(back.views, plain.views) and back.photos.equal(plain.photos)
+    brighter = replace(plain.views, intensity=2 * plain.views.intensity)
+    write_capture(plain.but(views=brighter), tmp_path / "e")
+    assert same_views(read_capture(tmp_path / "e").views, brighter)
 
 
 def test_no_folder_and_no_photos(tmp_path):

@@ -109,7 +109,6 @@ def refuse_tags(photos: Sequence[Photo],
 
 
 def _still(seen: dict[str, Edges]) -> bool:
-    """Whether all photos show the tags in the same place."""
     shared = set.intersection(*(set(edges.corners) for edges in seen.values())) if seen else set()
     if len(seen) < LEAST_PHOTOS or not shared:
         return False

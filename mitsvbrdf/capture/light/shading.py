@@ -90,7 +90,6 @@ def _colours(samples: Samples, without: Collection[str] = ()) -> tuple[dict, Arr
 
 
 def _said(tint: Mapping[str, Array], where: str, done: str) -> str:
-    """A note on photos of another white balance."""
     listed = ", ".join(f"{name} ({', '.join(f'{factor - 1:+.0%}' for factor in rgb)})"
                        for name, rgb in tint.items())
     return (f"white balance differs in {listed} in red, green, blue, as {where} shows: {done}; lock it for "

@@ -109,7 +109,6 @@ class SharedLobes:
         return replace(self, relief=relief)
 
     def _as_steep(self, answer: TexelEstimate) -> TexelEstimate:
-        """Texels whose prior allows their present slopes."""
         square = answer.x[self.prior.slopes].square().sum(dim=0)
         return answer._replace(precision=answer.precision.minimum(self.relief.precision(square)))
 

@@ -82,7 +82,6 @@ def without_lobe(search: Search) -> Search:
 
 
 def _lobe(specular: float, roughness: float, side: int) -> dict[str, Tensor]:
-    """The maps of a lobe that is the same everywhere."""
     return {name: torch.full((1,), value).expand(side, side, CHANNELS["roughconductor"][name])
             for name, value in (("specular", specular), ("roughness", roughness))}
 
