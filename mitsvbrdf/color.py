@@ -108,7 +108,7 @@ class Curve(NamedTuple):
 
 
 def parts(transfer: str) -> tuple[Transfer, Curve | None]:
-    """The response of a transfer function and its curve, or None; ConfigError for an unknown name."""
+    """Name of the response, and the curve (None: no curve). ConfigError: a wrong name or curve."""
     name, found = str(transfer).split(",")[0], CURVE.fullmatch(str(transfer))
     curve = Curve(*map(float, found.groups())) if found else None
     known = 0.1 <= curve.gamma <= 10 and -0.9 <= curve.shoulder <= 100 if curve else name == transfer

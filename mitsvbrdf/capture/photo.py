@@ -80,7 +80,7 @@ class Photo:
         return cls(path, about.size, about.orientation, read_exif(path, about.kind), False, about.profile)
 
     def read(self) -> Picture:
-        """RGB pixels as stored, linear if RAW; 0 where alpha masks them. Unreadable: the file is damaged."""
+        """RGB pixels as stored, linear if RAW; 0 where alpha masks them. ``Unreadable``: a damaged file."""
         with _readable(self.path):
             if not self.linear:
                 found = picture(self.path, Unreadable)

@@ -47,7 +47,7 @@ def export(
 
     gltf is one GLB with its textures. materialx holds a standard_surface and an OpenPBR surface. usd holds a
     UsdPreviewSurface. mitsuba holds a scene. maps holds PNG files. The command prints what a format loses:
-    the RMSE of maps as linear^(1/2.2), and the RMSE of pictures under three lights in display values.
+    RMSE of diffuse and specular (linear^(1/2.2)) and of pictures under three lights (display values).
     """
     formats = [part.strip() for part in to.split(",")]
     settings = ExportSettings(options.name_of(maps), naming, normal, bits,

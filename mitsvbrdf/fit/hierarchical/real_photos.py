@@ -89,7 +89,7 @@ class RealPhotos:
 
     def _held_out(self, tied: TexelEstimate, scale: Scale) -> dict[int, TexelEstimate]:
         """A dict: number of each held-out photo -> the answer from all other photos. It is empty if the fits
-        take longer than expected, so that the noise cannot be learned in time.
+        take so long that the noise cannot be learned in time.
         """
         found, every = dict[int, TexelEstimate](), self.seen.observations(scale, tied)
         for photo in in_turn(self.photos):

@@ -87,7 +87,7 @@ class ViewCorrections:
         flash += DAMPED * (variance / (variance + TILTED**2) * said - common)
 
     def refine(self, svbrdf: SVBRDF, capture: Capture, renderer: Renderer | None = None) -> None:
-        """Refine the views with the present maps, from the earlier changes; if ``always``, from no change."""
+        """Refine the views for the present maps. Start at ``change``; at 0 if ``refined`` is ``always``."""
         start = None if self.refined == "always" else self.change
         found = refine_views(svbrdf, capture.views, capture, self.priors, self.steps, start, renderer)
         self.change, self.deviation = found.change, found.deviation

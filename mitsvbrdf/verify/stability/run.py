@@ -155,8 +155,8 @@ def verdict(figures: Mapping, limit: Mapping[str, float], clamps: Sequence[str] 
     """One of :data:`VERDICTS`, and the reason.
 
     ``figures`` has ``errors``: relative L2 error of ``image`` and of each map's gradient, None for infinite.
-    It also has ``not_finite``, with the same keys, and ``silenced``, by map: counts of such values. Or it has
-    only ``refused``, the error message. ``limit``: the relative change if every normal is rounded once
+    It also has ``not_finite``, with the same keys, and ``silenced``, by map: counts of such values. On error
+    it has only ``refused``, the message. ``limit``: the relative change if every normal is rounded once
     (:func:`mitsvbrdf.verify.float32_limits.float32_limit`), with the keys of ``errors``; empty if it was not
     computed. Measured errors reach a third of it if nothing else is wrong. ``clamps``: names of the active
     clamps. ``known``: the largest error that a known cause explains, and this cause.
