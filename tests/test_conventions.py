@@ -182,9 +182,7 @@ def test_closed_form():
 
 def test_fresnel_at_the_camera():
     # The specular part is proportional to F0 at any tilt and distance when camera and light coincide.
-    views = GRID
-    dark, bright = (TWIN.render(flat(8, diffuse=0.0, specular=s, dtype=torch.float64), views) for s in (0.1,
-                                                                                                        0.8))
+    dark, bright = (TWIN.render(flat(8, diffuse=0.0, specular=s), GRID) for s in (0.1, 0.8))
     assert torch.allclose(bright, 8 * dark, rtol=1e-12)
 
 

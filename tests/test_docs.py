@@ -1,6 +1,5 @@
 """Commands in README and docs parse; the slow suite runs them in their order, shortened, on made photos."""
 
-import functools
 import re
 import shlex
 import shutil
@@ -12,8 +11,10 @@ from pathlib import Path
 
 import pytest
 from helpers import ROOT
+from helpers.commands import parsed_only
 
-from mitsvbrdf import DirectConfig, cli, fit_svbrdf, make_renderer, read_capture
+import mitsvbrdf
+from mitsvbrdf import cli
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.map_files import save_maps
 from mitsvbrdf.render.exclusive import using_mitsuba
@@ -53,16 +54,8 @@ TASKS = ["docs/index.md", "docs/start-phone.md", "docs/start-capture.md", "docs/
 
 @pytest.mark.parametrize("line", dict.fromkeys(TYPED))
 def test_commands_parse(line, monkeypatch):
-    """The command itself does not run."""
-    called, of = [], cli.command
-
-    def parsed(name, arguments):
-        function = of(name, arguments)
-        return functools.wraps(function)(lambda *given, **options: called.append(name) or 0)
-
-    monkeypatch.setattr(cli, "command", parsed)
-    arguments = shlex.split(line, comments=True)
-    assert cli.main(arguments) == 0 and called == arguments[:1]
+    called, arguments = parsed_only(monkeypatch), shlex.split(line, comments=True)
+    assert cli.main(arguments) == 0 and [name for name, _ in called] == arguments[:1]
 
 
 def run_shortened(lines):
@@ -175,15 +168,11 @@ def test_python_of_a_page(name, photos):
 
 
 def test_the_page_of_python_names_what_is_public():
-    import mitsvbrdf
-
     lines = re.findall(r"^(?:`\w+` ?)+$", (ROOT / "docs/python.md").read_text(), re.M)
     assert sorted(name for line in lines for name in re.findall(r"\w+", line)) == mitsvbrdf.__all__
 
 
 def test_what_to_cite_is_this_version():
-    import mitsvbrdf
-
     assert f"\nversion: {mitsvbrdf.__version__}\n" in (ROOT / "CITATION.cff").read_text()
 
 
@@ -217,11 +206,3 @@ def test_architecture_shows_the_law_and_files_that_are_there():
     assert drawn == law
     for name in re.findall(r"`([\w/]+(?:/|\.py))`", page):
         assert any((root / name).exists() for root in (ROOT, *(ROOT / "mitsvbrdf").glob("**"))), name
-
-
-def test_formats_page_names_every_field_of_fit_json(photos):
-    fit = fit_svbrdf(read_capture("photos", resolution=16), make_renderer("analytic"),
-                     DirectConfig(iterations=1))
-    page = (ROOT / "docs/formats.md").read_text()
-    for field in fit.record:
-        assert f"`{field}`" in page, field

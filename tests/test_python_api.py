@@ -100,17 +100,11 @@ def test_a_crosscheck_finds_the_same_under_any_default(mode):
 
 
 @pytest.mark.slow
-def test_fits_in_threads_are_those_of_one():
-    configs = [replace(DIRECT, learning_rate=rate) for rate in (0.02, 0.05, 0.1)]
-    expected = [fitted(config) for config in configs]
-    with ThreadPoolExecutor(3) as pool:
-        assert all(map(same, pool.map(fitted, configs), expected))
-
-
-@pytest.mark.slow
-def test_fits_of_other_methods_in_threads_are_those_of_one():
-    configs = [mv.HybridConfig(width=4, iterations=3, seed=1), mv.GanConfig(width=4, iterations=3),
-               mv.HierarchicalConfig(iterations=8)]
+@pytest.mark.parametrize("configs", [
+    [replace(DIRECT, learning_rate=rate) for rate in (0.02, 0.05, 0.1)],
+    [mv.HybridConfig(width=4, iterations=3, seed=1), mv.GanConfig(width=4, iterations=3),
+     mv.HierarchicalConfig(iterations=8)]], ids=["direct", "other methods"])
+def test_fits_in_threads_are_those_of_one(configs):
     expected = [fitted(config) for config in configs]
     with ThreadPoolExecutor(3) as pool:
         assert all(map(same, pool.map(fitted, configs), expected))

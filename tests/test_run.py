@@ -181,8 +181,7 @@ def test_pip_installs_what_uv_does_not(checkout, settings, uv):
 
 
 def test_without_a_fitting_python_it_says_so(tmp_path):
-    shutil.copy(RUN, tmp_path / "run")
-    for name in ("pyproject.toml", "constraints.txt"):
+    for name in ("run", "pyproject.toml", "constraints.txt"):
         shutil.copy(ROOT / name, tmp_path)
     tools = tmp_path / "tools"
     tools.mkdir()

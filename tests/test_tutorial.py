@@ -28,8 +28,7 @@ def tutorial(tmp_path_factory):
     """The tutorial after a small run, and where it ran."""
     notebook, folder = read(), tmp_path_factory.mktemp("tutorial")
     (parameters,) = [cell for cell in notebook.cells if "parameters" in cell.metadata.get("tags", ())]
-    names = re.findall(r"^(\w+) = ", parameters.source, re.M)
-    assert names == ["resolution", "budget", "out"]
+    assert re.findall(r"^(\w+) = ", parameters.source, re.M) == ["resolution", "budget", "out"]
     parameters.source = SMALL
     with pytest.MonkeyPatch.context() as monkeypatch:
         notebooks.run(notebook, folder, monkeypatch)

@@ -1,12 +1,12 @@
 """The recipes of a cluster, as far as they can be checked without one."""
 
-import functools
 import re
 import shlex
 import tomllib
 
 import pytest
 from helpers import ROOT
+from helpers.commands import parsed_only
 
 from mitsvbrdf import __version__, cli
 
@@ -46,8 +46,7 @@ def test_ray_accepts_the_launcher_file():
 
 
 def test_the_head_does_no_fits():
-    config = read("ray-autoscaler.yaml")
-    assert "--num-cpus=0" in config["head_start_ray_commands"][-1]
+    assert "--num-cpus=0" in read("ray-autoscaler.yaml")["head_start_ray_commands"][-1]
     assert read("rayjob.yaml")["spec"]["rayClusterSpec"]["headGroupSpec"]["rayStartParams"]["num-cpus"] == "0"
 
 
@@ -82,14 +81,8 @@ def test_versions_are_those_of_the_package():
 def test_their_command_is_understood(monkeypatch):
     (launched,) = re.findall(r"'(mitsvbrdf batch .*)'", (FOLDER / "ray-autoscaler.yaml").read_text())
     assert launched == read("rayjob.yaml")["spec"]["entrypoint"]
-    called, of = [], cli.command
-
-    def parsed(name, arguments):
-        function = of(name, arguments)
-        return functools.wraps(function)(lambda *given, **options: called.append((name, options["running"]))
-                                         or 0)
-
-    monkeypatch.setattr(cli, "command", parsed)
+    called = parsed_only(monkeypatch)
     assert cli.main(shlex.split(launched)[1:]) == 0
-    ((name, settings),) = called
+    ((name, options),) = called
+    settings = options["running"]
     assert (name, settings.address, settings.workers, settings.memory) == ("batch", "auto", 1000, 1.8)

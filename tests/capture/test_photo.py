@@ -56,8 +56,7 @@ def test_settings_that_differ_are_named(tmp_path):
             for line in found] == ["ISO", "exposure time", "focal length", "white balance", "flash", "camera"]
     assert found[0].startswith("ISO differs: 100 in 0.01.jpg and others, 400 in c.jpg")
     assert "fired in 0.01.jpg and others, off in c.jpg" in found[4]
-    many = [saved(tmp_path / f"{i}.jpg", iso=100 + i) for i in range(8)]
-    assert "and 3 more" in differences(many)[0]
+    assert "and 3 more" in differences([saved(tmp_path / f"{i}.jpg", iso=100 + i) for i in range(8)])[0]
 
 
 def test_rubbish_in_exif_costs_no_photo(tmp_path):

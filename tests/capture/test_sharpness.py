@@ -49,8 +49,7 @@ def test_noise_alone_and_single_photos_carry_nothing(sharp):
 
 
 def test_a_capture_tells_what_it_carried(tmp_path, sharp):
-    shots = Capture(torch.from_numpy(np.stack(sharp)), GRID.pick(range(4)))
-    write_capture(shots, tmp_path)
+    write_capture(Capture(torch.from_numpy(np.stack(sharp)), GRID.pick(range(4))), tmp_path)
     assert read_capture(tmp_path).carries is None
     assert read_capture(tmp_path, 100).carries is None  # hardly smaller
     assert read_capture(tmp_path, 32).carries == SIDE

@@ -35,8 +35,7 @@ def test_plain_photos_are_made_a_capture_of(plain):
 
 
 def test_few_photos_are_read_without_geometry(plain, tmp_path):
-    first = (plain / "IMG_0.jpg").read_bytes()
-    (tmp_path / "a.jpg").write_bytes(first)
+    (tmp_path / "a.jpg").write_bytes((plain / "IMG_0.jpg").read_bytes())
     one = read_capture(tmp_path)
     assert one.calibration == "none" and one.photos.shape == (1, 450, 450, 3) and one.index == (0,)
     expected = np.asarray(Image.open(plain / "IMG_0.jpg"))[:, 75:525] / np.float32(255)

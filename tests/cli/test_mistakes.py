@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import subprocess
 import sys
 import warnings
@@ -22,12 +23,8 @@ from mitsvbrdf.material.maps import flat
 @pytest.fixture
 def copy(shots, tmp_path):
     """A copy of the capture to spoil, its JSON as a dict, and a way to write the JSON back."""
-    folder = tmp_path / "shots"
-    (folder / "target").mkdir(parents=True)
-    for photo in (shots / "target").iterdir():
-        (folder / "target" / photo.name).write_bytes(photo.read_bytes())
-    stated = json.loads((shots / "capture.json").read_text())
-    (folder / "capture.json").write_text(json.dumps(stated))
+    folder = shutil.copytree(shots, tmp_path / "shots")
+    stated = json.loads((folder / "capture.json").read_text())
     return folder, stated, lambda: (folder / "capture.json").write_text(json.dumps(stated))
 
 
@@ -147,20 +144,18 @@ def spoil_photos(folder, stated):
         photo.unlink()
 
 
-def spoil_shape(folder, stated):
-    for photo in (folder / "target").iterdir():
-        cv2.imwrite(str(photo), np.zeros((48, 64, 3), np.uint8))
+def spoil_all_sizes(height, width):
+    def spoil(folder, stated):
+        for photo in (folder / "target").iterdir():
+            cv2.imwrite(str(photo), np.zeros((height, width, 3), np.uint8))
 
-
-def spoil_pixel(folder, stated):
-    for photo in (folder / "target").iterdir():
-        cv2.imwrite(str(photo), np.zeros((1, 1, 3), np.uint8))
+    return spoil
 
 
 @pytest.mark.parametrize("spoil, words", [
     (spoil_photos, ["00"]), (spoil_text, ["04.jpg"]), (spoil_sizes, ["03.png"]), (spoil_rows, ["8", "9"]),
-    (spoil_nan, ["camera_pos[5][1]"]), (spoil_below, ["camera 2", "above"]), (spoil_shape, ["square"]),
-    (spoil_pixel, ["1 x 1"]),])
+    (spoil_nan, ["camera_pos[5][1]"]), (spoil_below, ["camera 2", "above"]),
+    (spoil_all_sizes(48, 64), ["square"]), (spoil_all_sizes(1, 1), ["1 x 1"])])
 def test_bad_captures(copy, spoil, words, tmp_path, capsys):
     folder, stated, write = copy
     spoil(folder, stated)

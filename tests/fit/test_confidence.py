@@ -10,16 +10,8 @@ from helpers.variants import mostly_slow
 
 from mitsvbrdf import color
 from mitsvbrdf.capture import Capture
-from mitsvbrdf.fit import DirectConfig, FitTask, HierarchicalConfig, fit_svbrdf
-from mitsvbrdf.fit.confidence import (
-    DETERMINED,
-    UNKNOWN,
-    confidence,
-    deviations,
-    of_texels,
-    seen_by,
-    shown_texels,
-)
+from mitsvbrdf.fit import DirectConfig, FitTask, HierarchicalConfig, confidence, fit_svbrdf
+from mitsvbrdf.fit.confidence import DETERMINED, UNKNOWN, deviations, of_texels, seen_by, shown_texels
 from mitsvbrdf.fit.posterior import Mixture, OwnPhotos, masses, with_look_alikes
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.material.maps import SVBRDF, flat, numbers_of
@@ -60,8 +52,7 @@ def test_roughness_and_specular_are_as_open_as_a_grid_of_both_says(noise):
     images = color.encode(TWIN.render(truth, GRID)).double()
     images += noise * torch.randn(images.shape, generator=rng, dtype=torch.float64)
     photos = images.clamp(0, 1).float()
-    answer = flat(SIDE, diffuse=0.1, specular=0.3, roughness=0.3)
-    found = stated(answer, Capture(photos, GRID), "normal=flat", "diffuse=0.1", grey=True)
+    found = stated(truth, Capture(photos, GRID), "normal=flat", "diffuse=0.1", grey=True)
     steps = (torch.arange(200, dtype=torch.float64) + 0.5) / 200
     lobes = torch.stack([TWIN.render(flat(SIDE, diffuse=0.0, specular=1.0, roughness=float(r)), GRID)[..., 0]
                          for r in steps])  # camera and light coincide: what is shown is linear in F0
@@ -133,8 +124,7 @@ def test_two_thirds_of_the_truths_lie_within_the_deviation_of_what_explains_the_
     photos = photograph(truth, GRID, ANALYTIC, noise=0.003)
     own = OwnPhotos(truth, photos, ANALYTIC, {}, False)
     answer = own.solver.svbrdf(own.best)
-    found = stated(answer, photos)
-    for name, value in found.items():
+    for name, value in stated(answer, photos).items():
         error = (numbers_of(name, answer[name]) - numbers_of(name, truth[name])).abs()
         assert 0.6 < float((error <= value).float().mean()) < 0.82, name  # measured 69 % to 77 %
         sure, off = of_texels(value) < DETERMINED, of_texels(error) > 3 * of_texels(value)
@@ -219,7 +209,7 @@ def test_clipped_pixels_say_that_it_is_bright_and_no_more():
 @pytest.mark.slow
 def test_one_photo_determines_less_than_nine(leather):
     results = [fit_svbrdf(c, ANALYTIC, DirectConfig(iterations=40)) for c in (leather, leather.pick([0]))]
-    nine, one = (confidence(r.deviations, {}, shown_texels(leather)) for r in results)
+    nine, one = (confidence.confidence(r.deviations, {}, shown_texels(leather)) for r in results)
     for name in ("specular", "roughness", "normal"):
         assert nine[name]["determined_share"] > one[name]["determined_share"] + 0.2, name
 
@@ -232,7 +222,7 @@ def test_texels_under_a_mask_are_not_counted():
     shown = shown_texels(hidden)
     assert int(shown.sum()) == SIDE * (SIDE // 4) + 1 and bool(shown_texels(capture).all())
     spread = {"diffuse": torch.where(shown, 0.01, 0.2887)[..., None]}
-    assert confidence(spread, {}, shown)["diffuse"] == pytest.approx(
+    assert confidence.confidence(spread, {}, shown)["diffuse"] == pytest.approx(
         {"median_sd": 0.01, "determined_share": 1.0})
 
 

@@ -12,18 +12,9 @@ from helpers.variants import mostly_slow
 
 from mitsvbrdf.capture import Capture
 from mitsvbrdf.errors import ConfigError
-from mitsvbrdf.fit import (
-    DirectConfig,
-    FitTask,
-    GanConfig,
-    HierarchicalConfig,
-    HybridConfig,
-    fit_svbrdf,
-    gan_config,
-    make_method,
-    pretrain,
-)
+from mitsvbrdf.fit import FitTask, GanConfig, fit_svbrdf, gan_config, make_method, pretrain
 from mitsvbrdf.fit.checkpoint import load_tensors
+from mitsvbrdf.fit.config import DirectConfig, HierarchicalConfig, HybridConfig
 from mitsvbrdf.fit.detail_config import DetailConfig
 from mitsvbrdf.fit.loop import Loop
 from mitsvbrdf.fit.method import descend
@@ -92,11 +83,9 @@ def test_hybrid_improves_on_its_start(capture):
 @pytest.mark.slow
 def test_hybrid_finds_the_flash_beside_the_lens():
     # The calibration claims light at the camera; the photos were lit from 0.1 patch sides to the left.
-    views = GRID
-    lit = type(views)(views.camera, views.light + torch.tensor([-0.1, 0.0, 0.0]), views.intensity)
-    truth = flat(32, diffuse=0.2, specular=0.3, roughness=0.3)
-    photos = photos_of(truth, lit).photos
-    result = fit_svbrdf(Capture(photos, views), make_renderer("mitsuba"),
+    lit = dataclasses.replace(GRID, light=GRID.light + torch.tensor([-0.1, 0.0, 0.0]))
+    photos = photos_of(flat(32, diffuse=0.2, specular=0.3, roughness=0.3), lit).photos
+    result = fit_svbrdf(Capture(photos, GRID), make_renderer("mitsuba"),
                         HybridConfig(width=8, iterations=150))
     assert result.flash_offset[0] < -0.05 and abs(result.flash_offset[1]) < 0.03
 

@@ -10,16 +10,8 @@ from helpers import ANALYTIC, MITSUBA, ROOT
 from mitsvbrdf import cli
 from mitsvbrdf.capture import guess_diffuse
 from mitsvbrdf.errors import MapsError
-from mitsvbrdf.fit import (
-    DirectConfig,
-    FitTask,
-    GanConfig,
-    HierarchicalConfig,
-    HybridConfig,
-    fit_svbrdf,
-    losses,
-    make_method,
-)
+from mitsvbrdf.fit import FitTask, GanConfig, fit_svbrdf, losses, make_method
+from mitsvbrdf.fit.config import DirectConfig, HierarchicalConfig, HybridConfig
 from mitsvbrdf.fit.hierarchical import omitted as parts
 from mitsvbrdf.fit.hierarchical.stages import ROUNDS, Stage, Stages
 from mitsvbrdf.fit.omitted import explained, omitted_by, used
@@ -69,8 +61,7 @@ def claims(leather):
     unlit = replace(leather, views=replace(leather.views, falloff="none"))
     for shots, config in [*((leather, config) for config in configs), (unlit, HierarchicalConfig())]:
         for renderer in (ANALYTIC, MITSUBA):
-            task = FitTask(shots, renderer, config)
-            said |= {each.what for found in explained(task) for each in found}
+            said |= {each.what for found in explained(FitTask(shots, renderer, config)) for each in found}
     return said
 
 

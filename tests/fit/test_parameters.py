@@ -25,8 +25,7 @@ def test_start_finds_a_uniform_material():
     # Every texel alike and flat: the search has to find roughness (on its grid) and specular level, the guess
     # the rest.
     truth = flat(24, diffuse=0.3, specular=0.2, roughness=0.35)
-    capture = photos_of(truth)
-    start = robust_start(capture, truth["diffuse"], "roughconductor")
+    start = robust_start(photos_of(truth), truth["diffuse"], "roughconductor")
     assert start["roughness"].mean().item() == pytest.approx(0.35)
     assert start["specular"].mean().item() == pytest.approx(0.2, abs=0.01)
 

@@ -9,8 +9,7 @@ SIDE = 32
 
 
 def method_of(capture, **settings):
-    config = HierarchicalConfig(**settings)
-    return make_method(FitTask(capture, MITSUBA, config))
+    return make_method(FitTask(capture, MITSUBA, HierarchicalConfig(**settings)))
 
 
 def saving_loop(capture, config, folder):

@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 import signal
 import threading
 
@@ -261,12 +262,9 @@ def test_an_unfinished_run_of_another_command_is_not_lost(tmp_path, left, keep):
 
 def test_an_earlier_result_that_a_kill_left_is_no_unfinished_run(tmp_path):
     out, partial = tmp_path / "out", results.partial_folder(tmp_path / "out")
-    for text in ("old", "new"):
-        make(out, results.CHECKPOINT, text=text, overwrite=True)
-        if text == "old":
-            (tmp_path / "copy").mkdir()
-            for path in out.iterdir():
-                (tmp_path / "copy" / path.name).write_bytes(path.read_bytes())
+    make(out, results.CHECKPOINT, text="old", overwrite=True)
+    shutil.copytree(out, tmp_path / "copy")
+    make(out, results.CHECKPOINT, text="new", overwrite=True)
     (tmp_path / "copy").rename(partial)
     assert results.checkpoints(out) == [out / results.CHECKPOINT]
     with results.output_folder(out, True, resume=True) as folder:

@@ -64,9 +64,8 @@ def test_a_relief_that_is_repeated_has_no_edges():
 
 def test_flat_and_sloping_ground_sees_the_whole_sky():
     assert bool((occlusion(torch.zeros(16, 16, dtype=torch.float64)) == 1).all())
-    x = texel_positions(64)[..., 0]
     # half of the directions look uphill: mean of 1 / (1 + (0.2 cos)^2) over them
-    up = occlusion(0.2 * x)[32, 16:48]
+    up = occlusion(0.2 * texel_positions(64)[..., 0])[32, 16:48]
     truth = 0.5 + 0.5 / math.sqrt(1 + 0.2**2)
     assert (up - truth).abs().max() < 4e-3  # measured 2.4e-3: steps along a direction end at whole texels
 

@@ -36,8 +36,7 @@ def test_maps_are_shown_for_display(tmp_path):
 
 
 def test_a_principled_material_with_guess(tmp_path):
-    guess = torch.full((8, 8, 3), 0.5)
-    image = sheet(tmp_path / "a.png", flat(8, "principled", metallic=1.0), 2, guess)
+    image = sheet(tmp_path / "a.png", flat(8, "principled", metallic=1.0), 2, torch.full((8, 8, 3), 0.5))
     # Five maps of 316 pixels: metallic is the second, the guess the last.
     assert image[HEADER + LABEL + 150, MARGIN + 316 + GAP + 150].min() == 1
     assert image[HEADER + LABEL + 150, -MARGIN - 150].mean() == pytest.approx(0.735, abs=0.005)

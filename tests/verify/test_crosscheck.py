@@ -116,8 +116,7 @@ def test_builtin_materials_cover_the_corners():
     assert float(made["roughness 0.1"]["roughness"].min()) == pytest.approx(0.1)
     assert made["black diffuse"]["diffuse"].max() == 0 and made["white"]["diffuse"].min() == 1
     assert float(made["coloured F0"]["specular"].std(dim=-1).min()) > 0.3
-    views = THREE.in_patch_sides()
-    steep = TWIN.render(made["steep normals"].to(torch.float64), views)
+    steep = TWIN.render(made["steep normals"].to(torch.float64), THREE.in_patch_sides())
     assert bool((steep == 0).any()) and bool((steep > 0).any())  # some texels face away
     assert {"inlay", "tiles", "leather", "plates", "flat"} <= set(made)
 

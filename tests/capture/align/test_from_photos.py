@@ -4,17 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers.textured_plane import (
-    LENS,
-    SIZE,
-    held,
-    misalignment,
-    photo_of,
-    position_errors,
-    save,
-    take,
-    texture,
-)
+from helpers.textured_plane import LENS, held, misalignment, photo_of, position_errors, save, take, texture
 
 from mitsvbrdf.capture.align.features import find_features, find_pairs
 from mitsvbrdf.capture.align.from_photos import rig_from_photos
@@ -49,7 +39,7 @@ def test_all_photos_show_the_patch(nine_rig):
     corners = np.array([[x, y, 0.0] for x in (-0.5, 0.5) for y in (-0.5, 0.5)])
     for pose in nine_rig.poses.values():
         seen = project(nine_rig.lens, pose, corners)
-        assert seen.min() > 0 and (seen < np.array(SIZE) - 1).all()
+        assert seen.min() > 0 and (seen < np.array(LENS.size) - 1).all()
 
 
 def test_reference(nine, nine_rig):
@@ -64,7 +54,7 @@ def test_reference(nine, nine_rig):
 def test_photos_left_alone_by_few_features_are_compared_by_all(nine, monkeypatch):
     features = {photo.name: find_features(photo) for photo in nine[1][:3]}
     monkeypatch.setattr("mitsvbrdf.capture.align.features.FEW_FEATURES", 20)
-    assert all(pair.count > 100 for pair in find_pairs(features, SIZE, lambda share: None))
+    assert all(pair.count > 100 for pair in find_pairs(features, LENS.size, lambda share: None))
 
 
 def quarter(pose):
@@ -87,7 +77,7 @@ def test_what_cannot_be_used_is_named(tmp_path):
     poses = held(7, seed=2)
     good = {name: poses[name] for name in ("0.png", "1.png", "2.png", "3.png")}
     photos = take(tmp_path, good)
-    photos.append(save(tmp_path, "blank.png", np.full(SIZE[::-1], 90, dtype=np.uint8)))
+    photos.append(save(tmp_path, "blank.png", np.full(LENS.size[::-1], 90, dtype=np.uint8)))
     photos.append(save(tmp_path, "other.png", photo_of(texture(5), LENS, poses["4.png"], 4)))
     photos.append(save(tmp_path, "zoomed.png", photo_of(texture(), LENS, poses["5.png"], 5), stated=52))
     rig = rig_from_photos(photos)

@@ -111,7 +111,6 @@ def test_exposures_that_were_not_locked(case, kind):
     assert (np.abs(error) < 3 * np.array(list(shading.exposure_deviations.values()))).all()
 
 
-# paper
 def test_paper_tells_flash_power_vignetting_and_exposures():
     rng = np.random.default_rng(1)
     rig, exposures = make_rig("cm", rng), 0.03 * rng.normal(size=9)
@@ -168,7 +167,6 @@ def test_deviations_of_paper_are_the_size_of_its_errors():
     assert 0.5 < size < 1.8, size  # measured: 1.2
 
 
-# material
 @pytest.mark.slow
 @pytest.mark.parametrize("f0", [0.0, 0.04])
 def test_material_tells_flash_vignetting_and_exposures(f0):

@@ -11,14 +11,9 @@ from helpers import ANALYTIC, GRID, photos_of
 from mitsvbrdf.errors import ConfigError
 from mitsvbrdf.fit import HierarchicalConfig, fit_svbrdf, losses
 from mitsvbrdf.fit.detail_config import DetailConfig
+from mitsvbrdf.fit.generator import highlight_discriminator as judges
 from mitsvbrdf.fit.generator.bounded import Bounded
 from mitsvbrdf.fit.generator.detail import DetailTraining, why_not, with_detail
-from mitsvbrdf.fit.generator.highlight_discriminator import (
-    PATCH,
-    STRIDE,
-    HighlightDiscriminator,
-    patch_distance,
-)
 from mitsvbrdf.fit.generator.novel_lights import draw, novel_views
 from mitsvbrdf.material.made import make_material
 from mitsvbrdf.measure.metrics import photo_rmse
@@ -117,8 +112,7 @@ def test_what_cannot_be_finished_says_why(result, capture):
                         (still, "one view"), (result.but(deviations={}), "need Mitsuba"),
                         (result.but(svbrdf=result.svbrdf.resized(6)), "fewer than 7 texels")):
         assert why in why_not(spoilt) and with_detail(spoilt, capture, ANALYTIC, QUICK) is spoilt
-    repeated = {"repeats": {"stationary": True}}
-    assert why_not(still.but(record=result.record | repeated)) is None
+    assert why_not(still.but(record=result.record | {"repeats": {"stationary": True}})) is None
     with pytest.raises(ConfigError, match="steps"):
         with_detail(result, capture, ANALYTIC, DetailConfig(steps=0))
 
@@ -146,17 +140,18 @@ def test_patch_distance_is_the_sorted_difference_of_projected_patches():
     random = torch.Generator().manual_seed(6)
     rendered, photos = torch.rand(2, 1, 19, 19, 3, generator=random)
     angle = torch.rand(1, 19, 19, generator=random)
-    found = patch_distance(rendered, photos, angle, torch.Generator().manual_seed(0), bins=1)
-    directions = torch.randn(PATCH * PATCH * 3, 64, generator=torch.Generator().manual_seed(0))
+    found = judges.patch_distance(rendered, photos, angle, torch.Generator().manual_seed(0), bins=1)
+    size, step = judges.PATCH, judges.STRIDE
+    directions = torch.randn(size * size * 3, 64, generator=torch.Generator().manual_seed(0))
     directions = directions / directions.norm(dim=0)
-    flat = [F.unfold(x.movedim(-1, 1), PATCH, stride=STRIDE)[0].T @ directions for x in (rendered, photos)]
+    flat = [F.unfold(x.movedim(-1, 1), size, stride=step)[0].T @ directions for x in (rendered, photos)]
     truth = (flat[0].sort(dim=0).values - flat[1].sort(dim=0).values).abs().mean()
     assert float(found) == pytest.approx(float(truth), rel=1e-5)
 
 
 def test_the_discriminator_sees_levels_and_learns_what_is_told():
     torch.manual_seed(0)
-    judge = HighlightDiscriminator(8, 8)
+    judge = judges.HighlightDiscriminator(8, 8)
     bright, dark = torch.full((1, 8, 32, 32), 0.5), torch.full((1, 8, 32, 32), -0.5)
     bright, dark = (x + 0.05 * torch.randn(1, 8, 32, 32) for x in (bright, dark))
     optimizer = torch.optim.Adam(judge.parameters(), lr=1e-2)

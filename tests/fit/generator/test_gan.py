@@ -41,8 +41,7 @@ def test_it_starts_where_the_papers_first_stage_ends(generator, tiles):
 
 
 def test_untrained_it_starts_anywhere(tiles):
-    normals = gan_of(tiles, start="untrained").estimate()[0]["normal"]
-    assert normals[..., :2].abs().max() > 0.02
+    assert gan_of(tiles, start="untrained").estimate()[0]["normal"][..., :2].abs().max() > 0.02
 
 
 @pytest.mark.parametrize("generator", ["all-photos", "two-stream"])
@@ -84,8 +83,7 @@ def test_a_coarse_phase_has_64_texels_or_more():
 
 
 def test_phases_share_the_run(tiles, growing):
-    config = GanConfig()
-    assert sum(p.share for p in config.phases(64)) == pytest.approx(1)
+    assert sum(p.share for p in GanConfig().phases(64)) == pytest.approx(1)
     gan, seen = gan_of(tiles), []
     for progress in (0.0, 0.2, 0.49, 0.51, 0.3):  # resumed with a higher limit: it goes on as it was
         gan._enter_phase(progress)
@@ -150,8 +148,7 @@ def test_features_match_where_activations_do():
 def test_what_the_discriminator_is_told(paired, channels, tiles):
     gan = gan_of(tiles, paired=paired)
     assert gan.discriminator.layers[0][0].in_channels == channels
-    pictures = gan.source.draw(2, gan.random)
-    told = gan._told(pictures)
+    told = gan._told(gan.source.draw(2, gan.random))
     assert (0 if told is None else told.shape[1]) == channels - 3
     assert math.isfinite(gan.step(0.0)["adversarial"])
 

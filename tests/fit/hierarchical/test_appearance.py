@@ -16,8 +16,7 @@ def test_a_patch_of_two_colours_splits_in_two():
     material = flat(16, specular=0.04, roughness=0.4)
     material.maps["diffuse"] = (left * torch.tensor([0.5, 0.2, 0.1])
                                 + (1 - left) * torch.tensor([0.1, 0.25, 0.45]))
-    capture = photos_of(material, noise=0.002)
-    seen = appearance_of(capture, material["diffuse"])
+    seen = appearance_of(photos_of(material, noise=0.002), material["diffuse"])
     assert seen.shape == (256, 5) and float(seen.min()) > -0.3 and float(seen.max()) < 0.6
     for count in (2, 5):
         centres = basis_materials(seen, count, 0)
@@ -49,8 +48,7 @@ def test_looks_do_not_depend_on_the_light():
 
 @pytest.mark.parametrize("photos", [torch.zeros(9, 4, 4, 3), torch.ones(1, 4, 4, 3), torch.zeros(1, 4, 4, 3)])
 def test_looks_of_photos_that_show_nothing(photos):
-    views = GRID.pick(range(len(photos)))
-    seen = appearance_of(Capture(photos, views), torch.zeros(4, 4, 3))
+    seen = appearance_of(Capture(photos, GRID.pick(range(len(photos)))), torch.zeros(4, 4, 3))
     member = membership(seen, basis_materials(seen, 64, 0), 0.02)
     assert torch.isfinite(member).all() and torch.allclose(member.sum(dim=1), torch.ones(16), atol=1e-5)
 

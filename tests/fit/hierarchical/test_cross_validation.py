@@ -8,13 +8,8 @@ from helpers import TWIN, photos_of
 from helpers.hierarchical_fits import SIDE, method_of, reached
 
 from mitsvbrdf import color
-from mitsvbrdf.fit.hierarchical.cross_validation import (
-    FEWEST,
-    NOISES,
-    in_turn,
-    least_as_good,
-    prediction_errors,
-)
+from mitsvbrdf.fit.hierarchical import cross_validation
+from mitsvbrdf.fit.hierarchical.cross_validation import NOISES, in_turn, least_as_good, prediction_errors
 from mitsvbrdf.fit.hierarchical.solver import Observations
 from mitsvbrdf.fit.hierarchical.stages import NOISE, Stage
 from mitsvbrdf.material.made import make_material
@@ -94,7 +89,7 @@ def test_detail_that_other_photos_confirm_is_believed_and_other_detail_is_not(tw
 @pytest.mark.slow
 def test_a_noise_that_was_given_or_cannot_be_found(two_stages, phone, capture):
     given = method_of(capture, noise=0.11)
-    few = method_of(capture.pick(list(range(FEWEST - 1))))
+    few = method_of(capture.pick(list(range(cross_validation.FEWEST - 1))))
     for method, noise in ((given, 0.11), (few, NOISE)):
         reached(Stage.FINE, method)
         assert float(method.stages.detail) == pytest.approx(noise)

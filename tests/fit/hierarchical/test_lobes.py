@@ -99,8 +99,7 @@ def test_a_metal_must_be_shown(shown, level):
     precision = shown / (0.8 - KINDS[0][0])**2 + 1e-6
     covariance = torch.diag(torch.tensor([1 / precision, 1e-3]).double()).expand(3000, 2, 2)
     lobes = Learner(NAMES, torch.ones(3000, 1), 9).learned(gaussian_evidence(x, covariance), seed=0)
-    mean = lobes.mean[lobes.share[0].argmax(), 0]
-    assert abs(float(mean) - level) < 0.1
+    assert abs(float(lobes.mean[lobes.share[0].argmax(), 0]) - level) < 0.1
 
 
 def test_evidence_by_solving_again():

@@ -26,8 +26,7 @@ def test_a_fit_tells_of_texels_that_mix(tmp_path):
 
 @pytest.mark.slow
 def test_nothing_is_told_of_photos_that_still_follow_the_model():
-    inlay = make_material("inlay", LESS)
-    assert told(photos_of(inlay)) == 0  # not shrunk
+    assert told(photos_of(make_material("inlay", LESS))) == 0  # not shrunk
     assert told(photos_of(flat(SIDE, diffuse=0.3, specular=0.04, roughness=0.4)).averaged(LESS)) == 0
 
 

@@ -5,17 +5,7 @@ import torch
 from helpers import photos_of
 from helpers.hierarchical_fits import method_of
 
-from mitsvbrdf.fit.hierarchical import (
-    cross_validation,
-    observations,
-    real_photos,
-    response_curve,
-    scales,
-    scoring,
-    specular_test,
-    stages,
-    starts,
-)
+from mitsvbrdf.fit.hierarchical import cross_validation, scales, specular_test, stages, starts
 from mitsvbrdf.fit.hierarchical.omitted import CROSS_VALIDATION, VIEWS
 from mitsvbrdf.fit.hierarchical.shared_lobes import TRIED
 from mitsvbrdf.fit.hierarchical.stages import LOBE_ROUNDS, ROUNDS, Stage, Stages
@@ -61,9 +51,10 @@ def timed(shots, monkeypatch):
             clock.work("solver", side, count * (slower if side < SIDE else 1))
             return starts.stepped(solver, photos, answer, prior, count)
 
-        for where in (observations, real_photos, cross_validation, scoring, specular_test):
-            monkeypatch.setattr(where, "stepped", stepped)
-        monkeypatch.setattr(real_photos, "stepped", lambda *given: stepped(*given, slower))
+        for where in ("observations", "cross_validation", "scoring", "specular_test"):
+            monkeypatch.setattr(f"mitsvbrdf.fit.hierarchical.{where}.stepped", stepped)
+        monkeypatch.setattr("mitsvbrdf.fit.hierarchical.real_photos.stepped",
+                            lambda *given: stepped(*given, slower))
         monkeypatch.setattr(method.corrections, "refine", lambda maps, *_: clock.work(
             "views", maps.resolution, method.corrections.work))
         method.budget.clock = clock
@@ -167,7 +158,8 @@ def test_the_turns_are_foreseen_as_they_are_made(timed, monkeypatch):
     while method.stages.stage != Stage.TOGETHER or not method.stages.finished:
         method.step(0.0)
     clock.calls.clear()
-    monkeypatch.setattr(response_curve, "curved", lambda *_: None)  # takes turns of its own
+    # takes turns of its own
+    monkeypatch.setattr("mitsvbrdf.fit.hierarchical.response_curve.curved", lambda *_: None)
     method._begin_next_stage()
     steps, turns = sum(count for _, _, count in clock.calls), cross_validation.in_turn(len(method.capture))
     rounds_of_each = cross_validation.AGREED + len(cross_validation.NOISES) * cross_validation.ROUNDS
