@@ -134,8 +134,7 @@ def test_folders_of_one_name_with_other_photos_are_other_captures(shots, tmp_pat
         assert ("(held out)" in capsys.readouterr().out) is ours
     fit, again = Fit.of_maps(tmp_path / "fit"), read_capture(shots[0].source, SIDE)
     assert not is_of(fit, again.but(photos=0.98 * again.photos))  # of a second session
-    hidden = torch.zeros(3, SIDE, SIDE, dtype=torch.bool)
-    hidden[:, :3] = True  # photos that are filled in there from others
+    hidden = (torch.arange(SIDE) < 3)[:, None].expand(3, SIDE, SIDE)  # filled in from other photos
     filled = torch.where(hidden[..., None], 0.5, again.photos)
     assert is_of(fit, again.but(photos=filled, measured=~hidden)) and not is_of(fit, again.but(photos=filled))
 
