@@ -228,8 +228,8 @@ def settings(arguments: Sequence[str], usual: FitConfig | None = None) -> FitCon
     """The settings of the method and the preset named in the arguments. Each field is an option.
 
     Args:
-        arguments: of the command line. --help without --advanced hides the options that are not in SHOWN.
-        usual: returned if it is of this method and no preset is named. Else: the defaults.
+        arguments: of the command line. --help without --advanced shows only the fields in SHOWN.
+        usual: returned if no preset and no other method is named. Else: the defaults.
     """
     asked = _asked(arguments)
     kind = METHODS[asked.method or (method_name(usual) if usual else next(iter(METHODS)))]

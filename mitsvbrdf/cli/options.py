@@ -127,7 +127,7 @@ def check_new_files(*outputs: Path | None, overwrite: bool, read: Sequence[str |
 
 
 def _photo_folders(capture: Path) -> set[str]:
-    """Folders that may have the photos: that of the capture (or of its JSON file), and target/ in it."""
+    """Folders that may have photos: ``capture`` (of a file: its folder), and target/ in this folder."""
     capture = capture.parent if capture.is_file() else capture
     return {os.path.realpath(path) for path in (capture, capture / "target")}
 

@@ -1,4 +1,4 @@
-"""How far true values may be from the answer (the fitted values): by own photos, and with look-alikes.
+"""How far a texel's answer (the fit) may be from the truth: by its own photos, and with look-alikes.
 
 The photos determine each number of a texel up to a distribution (:mod:`.posterior`). Its deviation d is
 measured from the answer: at least 68 % of the distribution are within d of the answer, at least 98 % within

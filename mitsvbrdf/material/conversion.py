@@ -1,7 +1,7 @@
 """Convert ``roughconductor`` maps to ``principled`` maps, which hold less information.
 
-A material of base colour b and metallic m has diffuse b (1 - m) and F0 = b m + 0.04 (1 - m): four numbers
-instead of six. The inverse is :meth:`mitsvbrdf.material.maps.SVBRDF.as_roughconductor`.
+Base colour b and metallic m are four numbers. Diffuse b (1 - m) and F0 = b m + 0.04 (1 - m) are six. The
+inverse is :meth:`mitsvbrdf.material.maps.SVBRDF.as_roughconductor`.
 """
 
 import torch

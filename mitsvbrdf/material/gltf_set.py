@@ -108,7 +108,7 @@ def _found(path: Path, document: dict, material: dict, binary: bytes, spare: Pat
 
 
 def placed_alike(path: Path, placed: Mapping[str, str]) -> list[str]:
-    """Remarks on ``placed`` (texture to its placement): our maps have none. MapsError if two differ."""
+    """Remarks on placements (``placed``, by texture): our maps have none. MapsError: they differ."""
     ways = set(placed.values())
     if len(ways) > 1:
         said = ", ".join(f"{name} ({way or 'as it is'})" for name, way in placed.items())

@@ -20,8 +20,8 @@ def map_rmse(svbrdf: SVBRDF, reference: SVBRDF, encoding: str = "linear") -> dic
     """RMSE of the maps as the field reports it: over all texels and channels of maps encoded to [0, 1].
 
     Diffuse and specular are compared as linear^(1/2.2) and normals as (n + 1) / 2; roughness as r, or as
-    r^(1/2.2) if the reference is stored with gamma. Principled materials are compared by their diffuse and
-    specular maps. If the resolutions differ, the larger is area-averaged to the smaller first
+    r^(1/2.2) if the reference is stored with gamma. Principled maps are first converted to
+    ``roughconductor`` maps. If the resolutions differ, the larger is area-averaged to the smaller first
     (:meth:`SVBRDF.resized`).
 
     Normals are compared as given. Published numbers use the vectors in the files, whose length is not

@@ -48,7 +48,7 @@ class Kept(Generic[T]):
     """Keeps an object of Mitsuba or Dr.Jit. Any thread may drop it; a thread with the lock frees the object.
 
     Freeing an array while another thread traces can crash the process or cause a deadlock: the freeing thread
-    waits, and has Python's own lock. So dropped content is freed by the next :func:`using_mitsuba`, or at the
+    waits, and has the GIL. So dropped content is freed by the next :func:`using_mitsuba`, or at the
     end of the process. The content must not refer to its :class:`Kept`.
     """
 

@@ -57,8 +57,8 @@ def write_sheet(path: str | Path, svbrdf: SVBRDF, photos: Tensor, rerendered: Te
     """Write one PNG, 1680 pixels wide: the maps, and below them photos, re-renderings and differences.
 
     Colour maps are shown in sRGB, roughness and metallic as they are, normals as (n + 1) / 2. At most nine
-    photos are shown. Photos and re-renderings are display values N x R x R x 3 in [0, 1], errors in display
-    values too; the guess is linear. ``remarks``: name of a map to words shown beside it.
+    photos are shown. Photos and re-renderings are display values N x R x R x 3 in [0, 1]. ``rmse`` and
+    ``per_photo`` are in display values too. ``guess`` is linear. ``remarks``: map name to words beside it.
     """
     count = len(photos)
     shown = min(count, SHOWN)

@@ -1,7 +1,7 @@
 """The pytest plugin: two options, and the file of the running test for golden images.
 
 pytest loads it in every project of an environment where this package is installed, so it imports nothing
-heavy. Its entry point has the module's name, so that pytest loads it once.
+heavy. The entry point has the module's name, so ``-p`` cannot load the plugin twice.
 """
 
 from collections.abc import Generator

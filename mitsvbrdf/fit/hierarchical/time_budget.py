@@ -72,7 +72,7 @@ class TimeBudget:
                 + solver * (self.to_come + beside) * self.full)
 
     def steps(self, most: int, keep: int = 0) -> int:
-        """Solver steps at full size that end in time, minus ``keep`` for later work; from 1 to ``most``."""
+        """Number of full-size solver steps in the time left, minus ``keep`` steps; from 1 to ``most``."""
         seconds = self.rates.get("solver", 0.0) * self.full
         return max(1, int(min(most, (self.end - self.clock()) / seconds - keep))) if seconds else most
 

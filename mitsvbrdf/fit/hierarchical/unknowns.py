@@ -24,7 +24,7 @@ class Unknowns(Layout):
 class Column(NamedTuple):
     """A derivative by a map (normal: by one of its slopes); ``places``: its unknown for each colour channel.
 
-    Each channel of the radiance depends only on this channel of a colour, so one forward pass serves all.
+    Radiance in a channel depends only on the same channel of a colour: one forward pass serves all three.
     """
 
     name: str
