@@ -39,7 +39,7 @@ def crosscheck(
 ) -> int:
     """Compare every renderer and BSDF with the renderer analytic64 (float64): images, gradients, run time.
 
-    The exit code is 1 if a stated tolerance is exceeded. docs/evaluation.md explains the figures.
+    The exit code is 1 if a stated tolerance is violated. docs/evaluation.md explains the figures.
     """
     if repeats < 1:
         raise ConfigError("--repeats of 1 or more", str(repeats), "try 5")

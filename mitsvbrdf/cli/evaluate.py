@@ -37,7 +37,7 @@ def evaluate(maps: Positional[options.Material], reference: options.Reference = 
     as (n + 1) / 2. Re-rendering RMSE is in display values clipped to [0, 1], over all pixels. A photo that
     the fit saw is rendered with the final view of the fit, so its error is the one the fit printed. A
     held-out photo is rendered with its calibrated view and the flash offset of the fit. A further line gives
-    the error of all photos in calibrated views. Burn-in is the share of a map's variance that follows the
+    the error of all photos in such views. Burn-in is the share of a map's variance that follows the
     highlights of the fit's photos (without a fit.json: of the given photos).
 
     No fit knows the calibration errors of held-out photos. --refine-views also refines the camera, flash and

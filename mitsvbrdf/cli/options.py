@@ -48,8 +48,8 @@ Photos = Annotated[Path, arg(metavar="CAPTURE", help=(
     "A folder of photos, calibrated or plain; see docs/formats.md."))]
 TransferChoice = Literal["auto", Transfer]
 TransferOption = Annotated[TransferChoice, arg(help=(
-    "How photos encode light. auto: as stated in the capture, else gamma2.2 for calibrated captures "
-    "without a colour profile, and srgb."))]
+    "How photos encode light. auto: as stated in the capture, else gamma2.2 if calibrated without a "
+    "colour profile, linear if RAW, else srgb."))]
 FittedTransfer = Annotated[TransferChoice, arg(help=(
     "Encoding of light in photos. auto: as in the fit to these photos, else as stated in the capture."))]
 RefineViews = Annotated[bool, arg(help="Also measure with refined camera, flash and exposure of each photo.")]

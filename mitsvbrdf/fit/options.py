@@ -37,7 +37,7 @@ class FitOptions:
     falloff: Literal["auto", "inverse-square", "none"] = "auto"
     """Light falloff. auto: inverse-square; none for the paper's presets of --method gan."""
     transfer: Literal["auto", Transfer] = "auto"
-    """Encoding of photos. auto: as stated, else srgb if plain or of a profile, gamma2.2 if calibrated."""
+    """Encoding of photos. auto: as stated, else gamma2.2 (calibrated, no profile), linear (RAW) or srgb."""
     axes: Axes = "right-up"
     """Directions in the photos of the x and y axes of a calibration."""
     side: float | None = None

@@ -125,7 +125,7 @@ class Fit:
 
     @cached_property
     def svbrdf(self) -> SVBRDF:
-        """The material: the last one (``hierarchical``, ``gan`` from solved maps) or that of lowest error."""
+        """The material: the last (``hierarchical``, ``gan`` from solved maps), else that of lowest error."""
         return load_maps(self.path / "maps", self.record["bsdf"])
 
     @cached_property
