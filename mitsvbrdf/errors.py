@@ -21,6 +21,9 @@ class MitsvbrdfError(Exception):
         super().__init__(f"expected {expected}, got {got}; {fix}")
         self.expected, self.got, self.fix = expected, got, fix
 
+    def __reduce__(self) -> tuple:
+        return type(self), (self.expected, self.got, self.fix)  # else other processes could not receive it
+
 
 LARGEST = 1e10  # largest number in an option: float32 holds its square
 

@@ -1,6 +1,7 @@
 """The Python API in programs with defaults and threads of their own, and with arguments that are wrong."""
 
 import contextlib
+import pickle
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
@@ -10,6 +11,8 @@ from helpers import GRID, photos_of
 
 import mitsvbrdf as mv
 from mitsvbrdf.capture.guess import guess_diffuse
+from mitsvbrdf.capture.rig import OnePlace
+from mitsvbrdf.errors import CaptureError, OutputError
 from mitsvbrdf.material.maps import flat
 from mitsvbrdf.testing import random_material
 from mitsvbrdf.verify.crosscheck import crosscheck
@@ -178,3 +181,10 @@ def test_numbers_of_any_whole_kind_pick_photos():
     assert not (shots.photos.requires_grad or shots.views.camera.requires_grad)
     for index in ([2, 0], (2, 0), torch.tensor([2, 0]), torch.tensor([2, 0]).numpy()):
         assert shots.pick(index).index == (2, 0) and torch.equal(GRID.pick(index).camera, GRID.camera[[2, 0]])
+
+
+@pytest.mark.parametrize("kind", [CaptureError, OutputError, OnePlace])
+def test_errors_reach_other_processes(kind):
+    error = pickle.loads(pickle.dumps(kind("a", "b", "c")))
+    assert type(error) is kind and (error.expected, error.got, error.fix) == ("a", "b", "c")
+    assert str(error) == "expected a, got b; c"

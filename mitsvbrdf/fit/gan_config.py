@@ -101,7 +101,6 @@ class GanConfig(FitConfig):
     """Fit one sideways distance between lens and flash for all photos. The paper's presets have none."""
 
     def __post_init__(self) -> None:
-        """Fill in the preset's values. ConfigError: unknown preset."""
         check_fields(self, "fix", "preset")
         if self.preset not in get_args(Preset):
             raise ConfigError(f"a preset of {get_args(Preset)}", repr(self.preset), "choose one of these")

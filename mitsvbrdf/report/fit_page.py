@@ -200,7 +200,6 @@ def _photo(photo: dict, side: int, *folders: Path) -> dict:
 
 
 def _scalar(value: object) -> str:
-    """A setting as text: lists joined, None as a dash."""
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, (list, tuple)):

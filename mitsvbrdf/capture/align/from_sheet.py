@@ -118,7 +118,6 @@ def _still(seen: dict[str, Edges]) -> bool:
 
 
 def _too_few(edges: Edges, sheet: Sheet) -> str | None:
-    """Why these tags do not determine a pose; None: they do."""
     count = len(edges.corners)
     if count < LEAST_TAGS:
         return edges.fault or f"{count or 'none'} of 16 tags seen, {LEAST_TAGS} needed"
