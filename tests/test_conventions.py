@@ -18,7 +18,7 @@ from mitsvbrdf.errors import CaptureError, MapsError
 from mitsvbrdf.material.map_files import load_maps, save_maps
 from mitsvbrdf.material.maps import SVBRDF
 from mitsvbrdf.material.maps import flat as flat_of
-from mitsvbrdf.material.resample import averaged_rows
+from mitsvbrdf.material.resample import area_averaged, averaged_rows
 from mitsvbrdf.views import Views, texel_positions
 
 flat = functools.partial(flat_of, dtype=torch.float64)
@@ -162,6 +162,10 @@ def test_photos_shrink_by_area(tmp_path):
     assert torch.allclose(whole.averaged(12).photos, by_opencv, atol=1e-6)
     rows = averaged_rows(lambda part: whole.photos[:, part], 16, 12)
     assert torch.allclose(rows, by_opencv, atol=1e-6)
+    white = torch.ones(1000, 1000, 1)
+    assert area_averaged(white, 256).max() <= 1  # a map stays in its range
+    white[0, 0] = torch.nan
+    assert area_averaged(white, 256).isnan().sum() == 1
 
 
 def test_closed_form():

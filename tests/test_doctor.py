@@ -55,7 +55,8 @@ def lacking(monkeypatch, *missing):
     return doctor.doctor()
 
 
-@pytest.mark.parametrize("module, name", [("cv2", "opencv-contrib-python-headless"), ("torch", "torch")])
+@pytest.mark.parametrize("module, name", [
+    ("cv2", "opencv-contrib-python-headless"), ("torch", "torch"), ("safetensors", "safetensors")])
 def test_a_missing_package_is_named_with_the_line_to_type(monkeypatch, capsys, module, name):
     assert lacking(monkeypatch, module) == 1
     shown = capsys.readouterr().out

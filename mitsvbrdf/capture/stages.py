@@ -104,8 +104,7 @@ def _in_stages(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float,
     kept, rejected, notes = of_one_camera(photos)
     check_enough(kept, rejected)
     paper = None if sheet_cm is None else Sheet(sheet_cm).white
-    profiles = {photo.profile.name: photo for photo in kept if photo.profile and not photo.profile.reason}
-    transfer, overruled = used_transfer(transfer or ("linear" if kept[0].linear else "srgb"), profiles)
+    transfer = stated = transfer or ("linear" if kept[0].linear else "srgb")
     fired = {photo.name: str(photo.exif["flash"]) for photo in photos if "flash" in photo.exif}
     qualities: dict[str, PhotoQuality] = {}
     for start in (0, 0.5):
@@ -113,6 +112,9 @@ def _in_stages(photos: Sequence[Photo], sheet_cm: float | None, depth_cm: float,
         rig = (rig_from_photos(kept, reference, told) if sheet_cm is None
                else rig_from_sheet(kept, sheet_cm, depth_cm, told))
         rectified = Rectified.of(rig, kept, resolution, _within(report, start + 0.3, 0.2))
+        profiles = {photo.profile.name: photo for photo in kept
+                    if photo.name in rectified.outside and photo.profile and not photo.profile.reason}
+        transfer, overruled = used_transfer(stated, profiles)
         lit = Lit.of(rig, rectified, transfer, paper, depth_cm)
         even, exposed = (lit.shading.evenness, lit.shading.log_exposure) if lit.shading else (None, None)
         found = photo_qualities(lit.pictures, lit.views, transfer, rectified.overlap, even, lit.measured,

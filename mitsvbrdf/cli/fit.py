@@ -241,7 +241,6 @@ def settings(arguments: Sequence[str], usual: FitConfig | None = None) -> FitCon
 
 
 def _usual_only(config: FitConfig) -> FitConfig:
-    """The same settings, but the help shows only those in SHOWN."""
     kind, hide = type(config), cast(Any, Suppress)
     hints = get_type_hints(kind, include_extras=True)
     hidden = [(each.name, hide[hints[each.name]], field(default=each.default)) for each in fields(kind)

@@ -18,21 +18,22 @@ from ..views import Falloff, Views, nine_view_grid, shift_lights
 # a photo at 37 px differs from itself at 256 px by 0.008 at most; photos of another capture differ, at least
 # one by 0.07 or more. The median, because a mask changes less than half of the values.
 SAME = 0.02
-STEP = 1 / 255  # largest difference of equal photos of one size; the folder of a fit keeps 8 bits
+# Pixels of one photo differ by STEP at most, as a fit keeps 8 bits; by other decoders and CPUs, FEW by more.
+STEP, FEW = 1 / 255, 0.01
 
 
 def is_of(fit: Fit, capture: Capture) -> bool:
     """Whether the fit was made from photos of this capture.
 
-    Photos with the same number must be equal where they are measured, if the fit keeps them. If their sizes
-    differ, they must look alike, and the folders must have the same name.
+    If the fit keeps its photos, those with the same number must be equal, but for few of the measured pixels.
+    If their sizes differ, they must look alike, and the folders must have the same name.
     """
     kept, named = fit.small_photos, (fit.capture or "") == capture.name
     both = [row for row, number in enumerate(capture.index) if number in kept]
     for row in both:
         here = Glance.of(capture.stored[row], None if capture.measured is None else capture.measured[row])
         there = kept[capture.index[row]]
-        if here.side == there.side and (np.abs(here.pixels - there.pixels) > STEP).any():  # not of NaN
+        if here.side == there.side and (np.abs(here.pixels - there.pixels) > STEP).mean() > FEW:  # not NaN
             return False
         if here.side != there.side and not (named and np.median(np.abs(here.means - there.means)) < SAME):
             return False

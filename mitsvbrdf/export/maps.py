@@ -63,7 +63,6 @@ def write_maps(folder: Path, svbrdf: SVBRDF, settings: ExportSettings = DEFAULTS
 
 
 def _strip(folder: Path, svbrdf: SVBRDF, settings: ExportSettings) -> Export:
-    """The strip of :data:`DESCHAINTRE`, all of it linear."""
     maps, file = svbrdf.as_roughconductor().maps, f"{_safe(settings.name)}.png"
     squares = [stored(name, maps[name], settings.normal) if name == "normal" else maps[name].clamp(0, 1)
                for name in DESCHAINTRE]

@@ -135,7 +135,6 @@ def read_scene(mi: ModuleType, name: str, **values: str) -> dict[str, Any]:
 
 
 def _described(mi: ModuleType, state: Any, index: int) -> dict[str, Any]:
-    """A dict of a node of a parsed file, with the nodes below it."""
     props = state.nodes[index].props
     described: dict[str, Any] = {"type": props.plugin_name()}
     for key, value in props.items():

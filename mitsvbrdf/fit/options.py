@@ -102,7 +102,7 @@ def config_of(record: dict) -> FitConfig:
     if isinstance(settings.get("start"), bool):  # of earlier fits
         settings["start"] = "guess" if settings["start"] else "untrained"
     kind = METHODS.get(record["method"])
-    later = settings.keys() - {each.name for each in fields(kind)} if kind else {record["method"]}
+    later = settings.keys() - {each.name for each in fields(kind)} if kind else {str(record["method"])}
     if kind is None or later:
         raise ConfigError("settings that this version knows", ", ".join(sorted(later)), "update mitsvbrdf")
     return kind(**settings)

@@ -44,7 +44,7 @@ class Glance(NamedTuple):
         """Of a photo as stored, R x R x 3, and its mask, R x R."""
         few = np.s_[::max(1, len(photo) // 64), ::max(1, len(photo) // 64)]
         told = True if measured is None else measured[few][..., None].numpy()
-        return Glance(len(photo), np.where(told, images.display(photo[few].numpy()), np.nan),
+        return Glance(len(photo), np.where(told, images.display(photo[few].numpy()).clip(0, 1), np.nan),
                       images.averaged(photo.numpy(), 4))
 
 

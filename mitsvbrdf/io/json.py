@@ -73,7 +73,6 @@ def shape_error(value: object, shape: object, where: str = "") -> str:
 
 
 def _type_of(shape: Any) -> Any:
-    """Convert a shape to a type for msgspec."""
     if isinstance(shape, list):
         return list[_type_of(shape[0])]  # type: ignore[misc]
     if isinstance(shape, dict):

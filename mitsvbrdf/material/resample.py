@@ -24,16 +24,15 @@ def area_averaged(images: Tensor, side: int) -> Tensor:
 
 def averaged_rows(part: Callable[[slice], Tensor], count: int, height: int, width: int = 0) -> Tensor:
     """Images of ``count`` rows, area-averaged to height x width (default: square); ``part`` returns rows."""
-    found, across, width = list[Tensor](), torch.empty(0), width or height
-    for k, down in enumerate(_shares(count, height)):
-        rows = slice(k * count // height, -((k + 1) * -count // height))
-        images = part(rows)
+    found, width, (_, down) = list[Tensor](), width or height, _windows(count, height)
+    for k in range(height):
+        images = part(slice(k * count // height, -((k + 1) * -count // height)))
         if count % height == 0 == images.shape[-2] % width:
             found.append(_interpolated(images, (1, width), mode="area"))
             continue
-        across = across if k else _shares(images.shape[-2], width).T.to(images)
-        weighted = down[None, rows].to(images) @ images.movedim(-1, -3) @ across
-        found.append(weighted.movedim(-3, -1))
+        pixels, across = _windows(images.shape[-2], width)
+        row = (images.double() * down[k, :images.shape[-3], None, None]).sum(dim=-3, keepdim=True)
+        found.append((row[..., pixels, :] * across[..., None]).sum(dim=-2).to(images))
     return torch.cat(found, dim=-3)
 
 
@@ -64,11 +63,14 @@ def _averaged(images: Tensor, height: int, width: int) -> Tensor:
     return averaged_rows(lambda rows: images[..., rows, :, :], images.shape[-3], height, width)
 
 
-def _shares(count: int, size: int) -> Tensor:
-    """The share of each of ``count`` pixels of a row in each of its ``size`` area averages, size x count."""
-    window, pixel = torch.arange(size)[:, None], torch.arange(count)
-    end = torch.minimum((window + 1) * count, (pixel + 1) * size)
-    return (end - torch.maximum(window * count, pixel * size)).clamp_min(0).double() / count
+def _windows(count: int, size: int) -> tuple[Tensor, Tensor]:
+    """The pixels in each of ``size`` area averages of ``count`` pixels, and their shares, size x k."""
+    average = torch.arange(size)[:, None]
+    first = average * count // size
+    pixel = first + torch.arange(-(-count // size) + 1)
+    end = torch.minimum((average + 1) * count, (pixel + 1) * size)
+    shares = (end - torch.maximum(average * count, pixel * size)).clamp_min(0).double() / count
+    return torch.where(shares > 0, pixel, first), shares
 
 
 def _interpolated(images: Tensor, size: tuple[int, int], **how: Any) -> Tensor:

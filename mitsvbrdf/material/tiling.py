@@ -94,7 +94,6 @@ def _difference(looks: Tensor, overlap: int) -> Tensor:
 
 
 def _overlap(looks: Tensor) -> int:
-    """The overlap, in texels, whose cuts have the least difference."""
     size = len(looks)
     both = looks, looks.transpose(0, 1)
     side = min(COARSE, size)

@@ -182,7 +182,8 @@ def test_settings_of_the_other_game_begin_at_the_guess(photos):
     assert GanConfig().begins == "solved" and GanConfig(flash_offset=False).begins == "solved"
     assert GanConfig(width=8).begins == "guess" and GanConfig(preset="paper-one-stage").begins == "untrained"
     assert isinstance(make_method(FitTask(photos, ANALYTIC, GanConfig(start="guess"))), Gan)
-    for other, said in (({"game": "bce"}, "beside --game"), ({"preset": "paper-one-stage"}, "solved")):
+    for other, said in (({"game": "bce"}, "beside --game"),
+                        ({"preset": "paper-one-stage"}, "--start solved")):
         with pytest.raises(ConfigError, match=said):
             GanConfig(start="solved", **other).check()
     former = {"method": "gan", "preset": "minutes"}
