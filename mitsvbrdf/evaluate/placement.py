@@ -11,7 +11,7 @@ from ..calibrate.estimate import self_calibrated, why_not
 from ..calibrate.readings import Reading
 from ..capture import Capture, read_capture
 from ..errors import CaptureError
-from ..fit.result import Fit, Glance
+from ..fit.result import Fit, Thumbnail
 from ..views import Falloff, Views, nine_view_grid, shift_lights
 
 # Photos of two sizes, averaged to 4 x 4, look alike if their median difference is less. In real captures
@@ -31,7 +31,7 @@ def is_of(fit: Fit, capture: Capture) -> bool:
     kept, named = fit.small_photos, (fit.capture or "") == capture.name
     both = [row for row, number in enumerate(capture.index) if number in kept]
     for row in both:
-        here = Glance.of(capture.stored[row], None if capture.measured is None else capture.measured[row])
+        here = Thumbnail.of(capture.stored[row], None if capture.measured is None else capture.measured[row])
         there = kept[capture.index[row]]
         if here.side == there.side and (np.abs(here.pixels - there.pixels) > STEP).mean() > FEW:  # not NaN
             return False

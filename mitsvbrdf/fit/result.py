@@ -32,7 +32,7 @@ _FACTS = "rerender_rmse", "calibrated_rmse", "renderer", "variant", "warnings", 
 ALIKE = "with-look-alikes"  # folder of deviations that use look-alikes
 
 
-class Glance(NamedTuple):
+class Thumbnail(NamedTuple):
     """What tells a photo from others."""
 
     side: int  # its pixels a side
@@ -40,11 +40,11 @@ class Glance(NamedTuple):
     means: np.ndarray  # the photo averaged to 4 x 4 x 3
 
     @staticmethod
-    def of(photo: Tensor, measured: Tensor | None = None) -> Glance:
+    def of(photo: Tensor, measured: Tensor | None = None) -> Thumbnail:
         """Of a photo as stored, R x R x 3, and its mask, R x R."""
         few = np.s_[::max(1, len(photo) // 64), ::max(1, len(photo) // 64)]
         told = True if measured is None else measured[few][..., None].numpy()
-        return Glance(len(photo), np.where(told, images.display(photo[few].numpy()).clip(0, 1), np.nan),
+        return Thumbnail(len(photo), np.where(told, images.display(photo[few].numpy()).clip(0, 1), np.nan),
                       images.averaged(photo.numpy(), 4))
 
 
@@ -258,12 +258,12 @@ class Fit:
         return self.views.size / 100 if self.calibration.get("from") == "sheet" else None
 
     @cached_property
-    def small_photos(self) -> dict[int, Glance]:
+    def small_photos(self) -> dict[int, Thumbnail]:
         """A dict: number to what tells a photo. Photos used; from a folder also predicted ones."""
         stems = [path.stem for path in (self.path / "photos").glob("*.png")] if self.record else ()
         numbers = self.seen if "shots" in self.known else [int(stem) for stem in stems if stem.isdecimal()
                                                            and stem == f"{int(stem):02d}"]
-        return {number: Glance.of(self.photo(number)) for number in numbers}
+        return {number: Thumbnail.of(self.photo(number)) for number in numbers}
 
     def photo(self, number: int) -> Tensor:
         """The photo with this number, R x R x 3, as it is stored."""

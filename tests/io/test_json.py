@@ -37,7 +37,7 @@ def test_bytes_that_are_no_text_are_refused(content):
 
 
 def test_what_is_read_is_what_json_says():
-    value = {"a": [1, -2.5, 1e-320, True, None, "ä"], "b": {"c": []}, "d": 2**63 - 1, "e": 1.7e308}
+    value = {"a": [1, -2.5, 1e-320, 1.7e308, True, None, "ä"], "b": {"c": []}, "d": 2**63 - 1, "e": 1 - 2**63}
     assert parsed(json.dumps(value)) == value == parsed(b"\xef\xbb\xbf" + json.dumps(value).encode())
     assert parsed("[1]", list) == [1] and type(parsed('{"a": 1}')["a"]) is int
 
